@@ -82,7 +82,7 @@ pictures: $(STAMP)
 	$(BIN)/python build_page.py
 	PYTHONPATH=tests $(BIN)/python tests/web/pictures.py
 
-# Programs of a lab (a real Prometheus, SSH servers), of which it names those that are missing; LAB_SCRAPE_S=120
+# Programs of a lab (a real Prometheus, SSH servers), of which it names those that are missing; LAB_SCRAPES=24
 test-lab: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m lab
 
@@ -161,9 +161,9 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 
 # Anew when the package list, the build or the C changes: a stale fast path would be tested instead. Each installs only
-# what its targets need; what is there for more serves the others, too.
+# what its targets need; what is there for more serves the others, too. Not compiled: most of it is never imported.
 BUILT_FROM := pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_fast_path*.[ch])
-INSTALL = test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); $(BIN)/python -m pip install --quiet --disable-pip-version-check -e
+INSTALL = test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -e
 
 $(STAMP): $(BUILT_FROM)
 	$(INSTALL) '.[dev]'

@@ -51,7 +51,7 @@ dialects.load_dialect = _dialect_once
 
 import skygcs.rpc.sessions  # noqa: E402, F401 - as below
 from skygcs.rpc.methods import METHODS  # noqa: E402
-from support.examples import examples, flown_cases, is_deep, searches  # noqa: E402
+from support.examples import each_value, examples, flown_cases, is_deep, searches  # noqa: E402
 from support.file_costs import FileCosts  # noqa: E402
 from support.passed_before import PassedBefore, left_to_run  # noqa: E402
 from support.virtual_asyncio import VirtualAsyncio  # noqa: E402
@@ -80,6 +80,14 @@ if not is_deep():
 """In `make test` Hypothesis does not read all of `src` for constants that it mixes into its examples: another constant
 in any file would change the examples of every test, and each worker spends time on it. The deep run takes them."""
 
+gc.disable()
+"""Until all is collected (`pytest_collection_finish`): what a module makes stays, so each pass over it is in vain."""
+
+GARBAGE_THRESHOLDS = 20_000, 5, 5
+"""Thresholds of the garbage collector while tests run, instead of 700, 10, 10: it took 4 % of a flight's CPU time."""
+
+REAL = Path(__file__).parent / "system"
+
 COLLECTION_SHIFT_S = 7.0
 """Between the clocks by which two workers collect: above the second in which a gzip header is stamped, too little for a
 certificate or a lease that a module makes for its tests."""
@@ -95,17 +103,26 @@ ON_UVLOOP = Path(__file__).parent / "unit" / "runtime"
 """Tests of timers, exchanges and orders run on uvloop, which the daemon uses, and in the deep run on asyncio's loop."""
 
 WHOLE_DAEMONS = Path(__file__).parent / "integration"
-"""They live in virtual time, marked or not. Of a parametrised flight, `make test` flies `support.examples.CASES`."""
+"""They live in virtual time, marked or not. Of a parametrised flight, `make test` flies `support.examples.CASES`, the
+deep run each value of each parameter."""
 
 _cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 
 
+@pytest.fixture(scope="session")
+def _empty_folders(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The last one of `_working_folder`."""
+    return [tempfile.mkdtemp(dir=tmp_path_factory.getbasetemp(), prefix="in-")]
+
+
 @pytest.fixture(autouse=True)
-def _working_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def _working_folder(_empty_folders: list[str]) -> Iterator[None]:
     """An empty working folder for each test: what a daemon keeps in a relative path (`log_dir` is "logs" unless a fleet
-    file names one) is never read by the daemon of another test."""
+    file names one) is never read by the daemon of another test. Most leave it empty, and the next one takes it."""
     before = os.getcwd()
-    os.chdir(tempfile.mkdtemp(dir=tmp_path_factory.getbasetemp(), prefix="in-"))
+    if os.listdir(_empty_folders[0]):
+        _empty_folders[0] = tempfile.mkdtemp(dir=os.path.dirname(_empty_folders[0]), prefix="in-")
+    os.chdir(_empty_folders[0])
     yield
     os.chdir(before)
 
@@ -166,14 +183,26 @@ def pytest_collection_finish() -> None:
     """Modules and tests are no part of later collections of garbage, of which one would take a second."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(*GARBAGE_THRESHOLDS)
+    gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Report sockets and processes that a test of tests/system left open in its own file, not in a later one."""
+    if item.path.is_relative_to(REAL) and (nextitem is None or nextitem.path != item.path):
+        gc.collect()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Tests marked ``deep``, and most cases of flights, are left to the deep run."""
-    if not config.getoption("--deep"):
-        left_out = {id(item) for item in items if item.get_closest_marker("deep")} | _cases_left_out(items)
+    deep = config.getoption("--deep")
+    if not (deep and searches()):
+        left_out = _cases_left_out(items, deep)
+        if not deep:
+            left_out |= {id(item) for item in items if item.get_closest_marker("deep")}
         _keep(config, items, [item for item in items if id(item) not in left_out])
-    elif (passed_before := config.getoption("--passed-before")) is not None:
+    if deep and (passed_before := config.getoption("--passed-before")) is not None:
         _keep(config, items, left_to_run(items, set(passed_before.read_text().splitlines()), ON_UVLOOP))
 
 
@@ -183,14 +212,20 @@ def _keep(config: pytest.Config, items: list[pytest.Item], kept: list[pytest.Ite
     items[:] = kept
 
 
-def _cases_left_out(items: Sequence[pytest.Item]) -> set[int]:
-    """The cases of parametrised flights that are left to the deep run: those of one flight go one code path with other
-    numbers, and cost as much as the first. Which ones are flown depends on the name of the flight alone."""
-    flights: dict[tuple[Path, str], list[pytest.Item]] = {}
+def _cases_left_out(items: Sequence[pytest.Item], deep: bool) -> set[int]:
+    """The cases of parametrised flights that this run leaves out: those of one flight go one code path with other
+    numbers, and cost as much as the first. The deep run flies every value of every parameter. Which ones are flown
+    depends on the name of the flight and its parameters alone."""
+    flights: dict[tuple[Path, str], list[pytest.Function]] = {}
     for item in items:
         if isinstance(item, pytest.Function) and item.path.is_relative_to(WHOLE_DAEMONS):
             flights.setdefault((item.path, item.originalname), []).append(item)
-    flown = {id(item) for (_, name), cases in flights.items() for item in flown_cases(cases, zlib.crc32(name.encode()))}
+    flown: set[int] = set()
+    for (_, name), cases in flights.items():
+        chosen: Sequence[pytest.Function] = flown_cases(cases, zlib.crc32(name.encode()))
+        if deep and len(cases) > 1:  # each has a callspec, of the loop it runs on, also without parameters
+            chosen = [cases[number] for number in each_value([case.callspec._idlist for case in cases])]
+        flown |= {id(item) for item in chosen}
     return {id(item) for cases in flights.values() for item in cases} - flown
 
 

@@ -1,17 +1,41 @@
-"""`python -m skygcs`, and `skygcs` itself."""
+"""The entry points of the programs: `skygcs`, also as `python -m skygcs`, and `skygcs-cli`."""
 
+import contextlib
+import signal
 import sys
+from collections.abc import Iterator
 
 
 def main() -> None:
     """Entry point of `skygcs`: the daemon's libraries are imported lean, before anything imports them whole."""
-    if sys.argv[1:2] == ["run"]:
-        from skygcs.cli.lean_imports import needs_tls, prepare_daemon
+    with _imports():
+        if sys.argv[1:2] == ["run"]:
+            from skygcs.cli.lean_imports import needs_tls, prepare_daemon
 
-        prepare_daemon(tls=needs_tls(sys.argv[2:]))
-    from skygcs.cli.serve import main as serve
+            prepare_daemon(tls=needs_tls(sys.argv[2:]))
+        from skygcs.cli.serve import main as serve
 
     serve()
+
+
+def cli() -> None:
+    """Entry point of `skygcs-cli`."""
+    with _imports():
+        from skygcs.cli.main import main as run
+
+    run()
+
+
+@contextlib.contextmanager
+def _imports() -> Iterator[None]:
+    """Meanwhile Ctrl-C ends the process at once, without a traceback: nothing is there yet that would have to be ended.
+    A process that a shell started with Ctrl-C ignored goes on ignoring it."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.loop_clock import BEAT_S
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
@@ -127,11 +128,11 @@ class Daemon:
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
         token = read_token("daemon", own.token_file)
-        self.fleet.on_woke.append(self.operator_watchdog.slept)
-        self.fleet.on_woke.append(self._on_woke)
+        self.hub.asleep = self.hub.reading.asleep = self.fleet.sleep.check
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
         self.extensions = self._new_extensions()
         self._connect_extensions(view)
+        self._forget_after_pauses()
         names = {vehicle.sysid: name for name, vehicle in config.vehicles.items()}
         self.send_gate_watch = SendGateWatch(self.hub, self.fleet, names, publish)
 
@@ -183,9 +184,16 @@ class Daemon:
             if msgids := set(extension.observed_msgids()):
                 self.hub.observers.add(msgids, None, extension.on_frame)
 
-    def _on_woke(self, slept_s: float) -> None:
-        """Close all sessions: what their clients asked for before the sleep may be hours old."""
-        self.rpc.close_sessions(f"this computer slept for {slept_s:.0f} s: connect anew")
+    def _forget_after_pauses(self) -> None:
+        """After a sleep or a standstill nothing of before is used: what clients asked for, what waits in sockets and
+        what waits to be sent may be hours old."""
+        self.fleet.on_woke += (
+            lambda _: self.hub.woke(),
+            lambda pause: self.rpc.close_sessions(f"{pause.text}: connect anew"),
+            lambda pause: self.operator_watchdog.slept(pause.missed_s),
+            lambda _: self.corrections.woke(),
+            lambda pause: self.extensions.woke(pause.text),
+        )
 
     # -- life
 
@@ -212,10 +220,12 @@ class Daemon:
         finally:
             self.event_log.flush()
             self.alarms.close()
-            await self.fleet.disk.close()
-            self.extensions.close()  # for one that was claimed by a daemon that then did not start
-            await self.extensions.ended()
-            await self.rpc.close()
+            try:
+                await self.fleet.disk.close()
+                self.extensions.close()  # for one that was claimed by a daemon that then did not start
+                await self.extensions.ended()
+            finally:  # also when that is cancelled: a socket that stays keeps the next daemon from its start
+                await self.rpc.close()
 
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
@@ -246,6 +256,7 @@ class Daemon:
     def _start_clocks(self, group: asyncio.TaskGroup) -> list[asyncio.Task[None]]:
         """Start the periodic tasks, which run until the daemon ends."""
         clocks = [
+            group.create_task(self._every(BEAT_S, self.fleet.sleep.beat), name="watch of standstills"),
             group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
             group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
             group.create_task(self._every(1.0, self.alarms.tick), name="alarms"),
@@ -344,6 +355,7 @@ class Daemon:
             "uptime_s": round(self.now() - self.started_at, 1),
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,
+            "stale_frames": self.hub.stale_frames,
             "clients": self.rpc.stats(),
             "companion_of": self.config.aboard,
             "to_undo": self.fleet.journal.number_left,

@@ -38,6 +38,9 @@ WITHIN_S = 5.0
 STUCK_S = 2.0
 """A job that takes this long is reported. A card that the kernel throttles takes one second at times."""
 
+LATE_S = 1.0
+"""A look that is so late says that this process stood still, and the thread with it."""
+
 CLOSE_S = 2.0
 """The end of the daemon waits for what is unwritten at most so long."""
 
@@ -64,6 +67,8 @@ class DiskWriter:
         """Description of each job, its bytes, and the time at which it was given; the first one is in progress."""
         self._bytes = 0
         self._watch: asyncio.TimerHandle | None = None
+        self._look_at = 0.0
+        """When the next look is due, in loop time."""
         self._stuck_since: float | None = None
         self._none_waits = asyncio.Event()
         self._none_waits.set()
@@ -82,7 +87,7 @@ class DiskWriter:
         self._bytes += size
         self._none_waits.clear()
         if self._watch is None:
-            self._watch = self._loop.call_later(STUCK_S, self._look)
+            self._look_later()
         done = self._loop.run_in_executor(self._thread, job)
         done.add_done_callback(self._on_done)
         return done
@@ -99,7 +104,7 @@ class DiskWriter:
                 return result
         except TimeoutError:
             done.add_done_callback(_ignored)
-            raise OSError(errno.ETIMEDOUT, f"the disk does not take it ({what})") from None
+            raise OSError(errno.ETIMEDOUT, f"the disk does not accept it ({what})") from None
 
     async def settled(self) -> None:
         """Wait until nothing is unwritten, CLOSE_S at most; what is given meanwhile counts."""
@@ -152,10 +157,17 @@ class DiskWriter:
         self._watch = None
         if not self._waiting:
             return
-        what, _, since = self._waiting[0]
+        what, size, since = self._waiting[0]
+        if self._loop.time() - self._look_at > LATE_S and self._stuck_since is None:
+            since = self._clock()  # the disk gets its time from now on
+            self._waiting[0] = (what, size, since)
         if self._stuck_since is None and self._clock() - since >= STUCK_S:
             self._stuck_since = since
             self._report(f"the disk is stuck: {what} is not written; everything else goes on", what=what)
+        self._look_later()
+
+    def _look_later(self) -> None:
+        self._look_at = self._loop.time() + STUCK_S
         self._watch = self._loop.call_later(STUCK_S, self._look)
 
     def _report(self, text: str, **data: Any) -> None:

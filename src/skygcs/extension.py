@@ -19,6 +19,7 @@ What a running daemon calls, and when:
     new_flight     a vehicle is met whose `ControlSettings.at` is its own
     serve          the task runs from when the socket answers to its end
     start          after the socket answers
+    woke           this computer slept, or the process stood still
     on_frame, order_refusal, state_groups       as frames, orders and clients come
     close          the daemon ends: nothing is sent after it; links are open, orders still end
     ended          after all links: wait for files and connections, briefly
@@ -169,6 +170,12 @@ class Extension(Generic[C]):
 
     async def start(self) -> None:
         """Begin. Raises SkygcsError: the daemon ends then."""
+
+    def woke(self, why: str) -> None:
+        """This computer slept, or the process stood still (``why``, the begin of a sentence): nothing counts that came
+        before, or has waited since in a connection of its own; close that and open it again. All vehicles are dropped
+        already. What it reads itself asks the fleet's `SleepWatch.check` before it counts: it may come before
+        this call."""
 
     def close(self) -> None:
         """End its work; idempotent."""
@@ -358,6 +365,14 @@ class Extensions:
                 serving = repeated(functools.partial(part.serve, new_session), self._on_fault)
                 group.create_task(serving, name=f"clients of {table}")
 
+    def woke(self, why: str) -> None:
+        """Pass a sleep or a standstill on to all."""
+        for part in self._parts.values():
+            try:
+                part.woke(why)
+            except Exception as error:
+                self._on_fault(error)
+
     def close(self) -> None:
         """End the work of all; none is made any more."""
         self._closed = True
@@ -371,12 +386,15 @@ class Extensions:
             self._on_fault(error)
 
     async def ended(self) -> None:
-        """Wait for the end of all."""
-        for part in self._parts.values():
+        """Wait for the end of all, as long as the slowest takes."""
+
+        async def ended(part: Extension[Any]) -> None:
             try:
                 await part.ended()
             except Exception as error:
                 self._on_fault(error)
+
+        await asyncio.gather(*map(ended, self._parts.values()))
 
 
 async def repeated(work: Callable[[], Awaitable[None]], on_fault: Callable[[Exception], None]) -> None:

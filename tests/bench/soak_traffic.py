@@ -523,11 +523,7 @@ class HostilePeer:
             self._frames("datagrams of 1,000 frames", frames)
             return
         self.sent["huge datagrams"] += 1
-        data = {
-            1: b"\xfd" * 65_507,
-            2: b"\xfe\x09\x00\xee\x01\x00" * 10_917,
-            3: _claimed(rng.randbytes(65_507)),
-        }[turn]
+        data = {1: b"\xfd" * 65_507, 2: b"\xfe\x09\x00\xee\x01\x00" * 10_917, 3: _claimed(rng.randbytes(65_507))}[turn]
         world._datagram(self.sock, data, self.port)
 
     def _stranger(self) -> None:

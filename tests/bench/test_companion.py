@@ -8,7 +8,6 @@ that the vehicle is flown by attitude is asserted: times are for reading.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -20,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from bench.results import keep
 from bench.test_memory import memory_mb
 from support.pinned import make_pair
 from support.process import DaemonProcess, free_port, wait_until
@@ -38,7 +38,6 @@ BARE = {
     "asyncio and uvloop": "import asyncio, time, uvloop; print(flush=True); time.sleep(600)",
     "asyncio and uvloop, a timer at 50 Hz": f"import uvloop\n{LOCAL_LOOP}uvloop.run(tick())",
 }
-RESULTS = Path(__file__).parents[2] / "build" / "bench" / "companion.json"
 
 
 def figures(pid: int, during_s: float) -> dict[str, float]:
@@ -112,9 +111,7 @@ def mode(daemon: DaemonProcess) -> str | None:
 def test_a_companion_that_flies_by_attitude(firmware: str, tmp_path: Path) -> None:
     rows = {name: bare(code) for name, code in BARE.items()}
     rows["companion"] = companion(tmp_path, firmware)
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    kept = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    RESULTS.write_text(json.dumps({**kept, firmware: rows}, indent=1))
+    keep("companion", {firmware: rows}, beside=True)
     base = rows["interpreter"]
     for name, row in rows.items():
         print(

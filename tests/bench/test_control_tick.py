@@ -10,7 +10,6 @@ Results also in build/bench/control-tick.json.
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 import socket
 import statistics
@@ -23,6 +22,7 @@ from typing import Any
 import uvloop
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bench.results import keep
 from skygcs.config.control import ControlSettings
 from skygcs.config.models import FleetConfig, MemoryLinkConfig, UdpClientLinkConfig, VehicleConfig
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
@@ -44,7 +44,6 @@ from skygcs.runtime.stream_requester import StreamRequester
 from support.services import connect, services
 from support.vehicles import HOME, PX4, PX4_LOITER, Voice, flight_dialect
 
-ROOT = Path(__file__).parents[2]
 TICKS = 2_000
 ROUNDS = 7
 RATIO_LIMIT = 12.0
@@ -61,12 +60,7 @@ class Flown:
         self.loop = asyncio.get_running_loop()
         self.now = self.loop.time()
         dialect = flight_dialect()
-        hub = Hub(
-            FleetConfig(),
-            dialect,
-            self.loop,
-            lambda event: None,
-        )
+        hub = Hub(FleetConfig(), dialect, self.loop, lambda event: None)
         connect(hub)
         self.link = MemoryLink(MemoryLinkConfig(type="memory", name="radio", loss=1.0), hub, self.loop)
         self.hub = hub
@@ -272,9 +266,7 @@ async def _measure(folder: Path) -> None:
         await flight.link.close()
     for each in whole.values():
         each.peer.close()
-    out = ROOT / "build" / "bench"
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "control-tick.json").write_text(json.dumps(table, indent=2))
+    keep("control-tick", table)
     print()
     for name, row in table.items():
         print(f"  {name:16} {row['us']:7.1f} us  (least {row['min']})")

@@ -8,13 +8,12 @@ that changes a state.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import statistics
 import time
-from pathlib import Path
 from typing import cast
 
+from bench.results import keep
 from skygcs.config.models import FleetConfig, MemoryLinkConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
@@ -26,7 +25,6 @@ from skygcs.runtime.route_reports import RouteReports
 from support.routed import DIALECT, message
 from support.services import Notes
 
-ROOT = Path(__file__).parents[2]
 SIZES = (10, 250)
 FRAMES = 25_000
 STATES = 2_000
@@ -51,12 +49,7 @@ class Field:
     def __init__(self, vehicles: int) -> None:
         self.loop = asyncio.get_running_loop()
         self.now = self.loop.time()
-        self.hub = Hub(
-            FleetConfig(),
-            DIALECT,
-            self.loop,
-            self._on_event,
-        )
+        self.hub = Hub(FleetConfig(), DIALECT, self.loop, self._on_event)
         self.fleet = Fleet(FleetConfig(), DIALECT, lambda *_, **__: True, self.loop, lambda _: None)
         self.hub.connect(self.fleet, cast(RouteReports, Notes(lambda note, channel: None)))
         self.vehicles = vehicles
@@ -133,8 +126,6 @@ def test_a_frame_costs_the_same_in_a_large_fleet() -> None:
         report[what] |= {f"{size} vehicles, least us": round(min(by_size[size]), 2) for size in SIZES}
         report[what]["ratio"] = round(statistics.median(ratios), 3)
         print(f"\n{what}: {report[what]}")
-    out = ROOT / "build" / "bench"
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "fleet-fold.json").write_text(json.dumps(report, indent=2) + "\n")
+    keep("fleet-fold", report)
     if os.environ.get("SKYGCS_BENCH_TARGETS"):
         assert report["a frame"]["ratio"] < GROWTH_LIMIT

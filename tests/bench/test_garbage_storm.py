@@ -10,7 +10,6 @@ tests/unit/links/test_udp.py, test_fast_path.py, test_reading.py.
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
 import time
 from pathlib import Path
@@ -19,12 +18,12 @@ from typing import Any
 import pytest
 import uvloop
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig, UdpServerLinkConfig
-from skygcs.daemon import Daemon
+from bench.results import keep
+from skygcs.config.models import SimulatedLinkConfig, UdpServerLinkConfig
 from skygcs.links import fast_path
 from support.called import call
-from support.process import ROOT, free_port
+from support.daemons import made_daemon, started
+from support.process import free_port
 
 STORM_S = 10.0
 LONGEST_TURN_S = 0.02
@@ -71,17 +70,15 @@ class Probe:
 
 
 async def stormed(folder: Path, port: int) -> dict[str, Any]:
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=folder / "s", log_dir=folder),
+    daemon = made_daemon(
+        folder,
+        daemon={"record": True},
         links={
             "air": SimulatedLinkConfig(name="air", px4=1, ardupilot=0),
             "net": UdpServerLinkConfig(name="net", host="127.0.0.1", port=port),
         },
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    try:
+    async with started(daemon):
         await asyncio.sleep(12)
         await call(daemon, "vehicles.arm", targets="all", wait_s=90.0)
         await call(daemon, "vehicles.takeoff", targets="all", height_m=10.0, wait_s=60.0)
@@ -106,9 +103,6 @@ async def stormed(folder: Path, port: int) -> dict[str, Any]:
             "clock": actor.offboard.clock.as_dict(),
             "link": daemon.links.link("net").counters(),
         }
-    finally:
-        daemon.stop()
-        await task
 
 
 @pytest.mark.parametrize("pure", [False, True], ids=["compiled", "python"])
@@ -119,10 +113,7 @@ def test_no_turn_is_long_and_the_vehicle_stays_in_control(
         monkeypatch.setenv(fast_path.PURE, "1")
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         result = runner.run(stormed(tmp_path, free_port()))
-    out = ROOT / "build" / "bench"
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / "garbage-storm.json").open("a") as file:
-        print(json.dumps({"python" if pure else "compiled": result}), file=file)
+    keep("garbage-storm", {"python" if pure else "compiled": result}, beside=True)
     print(result)
     assert result["in_control"], result
     assert result["longest_turn_ms"] <= 1e3 * LONGEST_TURN_S, result

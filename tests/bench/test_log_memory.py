@@ -5,7 +5,6 @@ Run by `make bench`. Results also in build/bench/log-memory.json. $SKYGCS_BENCH_
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.results import keep
 from skygcs.tlog.reading import LogReader
 from support.flight_log import FlightLog
 from support.frames import dialect
@@ -76,7 +76,4 @@ def test_ten_times_the_log_takes_no_more_memory(name: str, tmp_path: Path) -> No
 
 
 def note(name: str, figures: dict[str, float]) -> None:
-    path = ROOT / "build" / "bench" / "log-memory.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    known = json.loads(path.read_text()) if path.is_file() else {}
-    path.write_text(json.dumps({**known, name: {k: round(v, 1) for k, v in figures.items()}}, indent=1))
+    keep("log-memory", {name: {k: round(v, 1) for k, v in figures.items()}}, beside=True)

@@ -16,6 +16,7 @@ import sys
 import time
 from pathlib import Path
 
+from bench.results import keep
 from bench.test_start import Start
 from support import router_bench as bench
 from support.routed import heartbeat, message
@@ -93,9 +94,7 @@ def test_memory_with_one_vehicle(tmp_path: Path) -> None:
     for name, row in table.items():
         figures = ", ".join(f"{key} {value['median']:.1f}" for key, value in row.items())
         print(f"\n{name}: MB {figures}; {ratios[name]['median']:.2f} times the bare interpreter")
-    path = bench.ROOT / "build" / "bench" / "memory.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"rounds": ROUNDS, "MB": table, "ratios": ratios}, indent=1) + "\n")
+    keep("memory", {"rounds": ROUNDS, "MB": table, "ratios": ratios})
     assert table["daemon"]["rss"]["median"] < table["whole"]["rss"]["median"]
     if os.environ.get("SKYGCS_BENCH_TARGETS"):
         assert table["daemon"]["rss"]["median"] <= TARGET_MB

@@ -19,10 +19,10 @@ from typing import Any
 
 import pytest
 
+from bench.results import OUT, keep
 from support import router_bench as bench
 
 ROUNDS = int(os.environ.get("SKYGCS_BENCH_ROUNDS", "5"))
-OUT = bench.ROOT / "build" / "bench"
 SATURATED_PER_S = 400_000
 """More than any of them forwards; the generator's own limit."""
 
@@ -106,9 +106,7 @@ def test_router(tmp_path: Path) -> None:
             case: {key: bench.ratios(by, key, BARE) for key in ("cpu_us", "p99_us", "per_s") if key in by[BARE]}
             for case, by in rows.items()
         }
-    OUT.mkdir(parents=True, exist_ok=True)
-    result = {"rounds": ROUNDS, "load_average": os.getloadavg(), "table": table, "ratios": ratios}
-    (OUT / "router.json").write_text(json.dumps(result, indent=2))
+    keep("router", {"rounds": ROUNDS, "load_average": os.getloadavg(), "table": table, "ratios": ratios})
     show(table, ratios)
     draw(table)
     if os.environ.get("SKYGCS_BENCH_TARGETS"):

@@ -6,7 +6,6 @@ are told beside those of MAVProxy (where it is installed) and, on the serial por
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from contextlib import ExitStack
@@ -15,11 +14,11 @@ from typing import Any
 
 import pytest
 
+from bench.results import keep
 from support import router_bench as bench
 from support.pseudo_tty import PtyRadio
 
 ROUNDS = int(os.environ.get("SKYGCS_BENCH_ROUNDS", "5"))
-OUT = bench.ROOT / "build" / "bench"
 ECHO = "bare uvloop echo"
 BACK: dict[str, Any] = {"rate": 1_000, "commands": 1_000, "seconds": 1.0, "own_sockets": 1}
 SERIAL: dict[str, Any] = {"rate": 1_000, "commands": 300, "seconds": 1.0}
@@ -54,11 +53,8 @@ def tell(title: str, rows: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
     return table
 
 
-def keep(key: str, value: dict[str, Any]) -> None:
-    OUT.mkdir(parents=True, exist_ok=True)
-    path = OUT / "router_ways.json"
-    before = json.loads(path.read_text()) if path.exists() else {}
-    path.write_text(json.dumps({**before, key: {"rounds": ROUNDS, "load_average": os.getloadavg(), **value}}, indent=2))
+def note(key: str, value: dict[str, Any]) -> None:
+    keep("router_ways", {key: {"rounds": ROUNDS, "load_average": os.getloadavg(), **value}}, beside=True)
 
 
 def all_of_ours_arrived(rows: dict[str, dict[str, list[float]]]) -> None:
@@ -84,7 +80,7 @@ def test_commands_back_to_one_of_twenty_vehicles(tmp_path: Path) -> None:
         for target in targets:
             bench.wait_forwarding(target, load, own_sockets=1)
         rows = bench.interleaved(ROUNDS, {t.router.name: lambda t=t: measured(t, load, BACK) for t in targets})
-    keep("commands back", {"table": tell("1,000/s each way, 20 vehicles on one port, 2 ground stations", rows)})
+    note("commands back", {"table": tell("1,000/s each way, 20 vehicles on one port, 2 ground stations", rows)})
     all_of_ours_arrived(rows)
 
 
@@ -112,7 +108,7 @@ def test_serial(tmp_path: Path) -> None:
     table = tell("serial port (pty): 1,000 frames/s in, 300 commands/s out", rows)
     for key, by_name in ratios.items():
         print(f"  {key}, times the echo's: " + ", ".join(f"{n} {r['median']:.2f}" for n, r in by_name.items()))
-    keep("serial", {"table": table, "ratios": ratios})
+    note("serial", {"table": table, "ratios": ratios})
     all_of_ours_arrived(rows)
     if os.environ.get("SKYGCS_BENCH_TARGETS"):
         for key in ("telemetry_p99_us", "commands_p99_us"):

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.results import keep
 from support import router_bench as bench
 
 ROOT = bench.ROOT
@@ -123,7 +124,4 @@ def test_twenty_subscribers_at_ten_hertz_to_fifty_vehicles(tmp_path: Path, frame
 
 
 def note(name: str, figures: dict[str, float]) -> None:
-    path = bench.ROOT / "build" / "bench" / "rpc.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    known = json.loads(path.read_text()) if path.is_file() else {}
-    path.write_text(json.dumps({**known, name: {k: round(v, 3) for k, v in figures.items()}}, indent=1) + "\n")
+    keep("rpc", {name: {k: round(v, 3) for k, v in figures.items()}}, beside=True)

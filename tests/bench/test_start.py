@@ -9,7 +9,6 @@ Targets: 0.6 s to the first frame, 0.35 s for a status; asserted with SKYGCS_BEN
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -22,6 +21,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.results import keep
 from support import router_bench as bench
 from support.process import free_port
 from support.routed import heartbeat, message
@@ -155,7 +155,4 @@ def tell(name: str, took: list[float], cpu: list[float]) -> None:
     figures = {"seconds": bench.spread(took), "cpu_s": bench.spread(cpu), "starts": ROUNDS}
     wall = figures["seconds"]
     print(f"\n{name}: {wall['median']:.3f} s (least {wall['min']:.3f}), CPU {figures['cpu_s']['min']:.3f} s")
-    path = bench.ROOT / "build" / "bench" / "start.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    known = json.loads(path.read_text()) if path.is_file() else {}
-    path.write_text(json.dumps({**known, name: figures}, indent=1) + "\n")
+    keep("start", {name: figures}, beside=True)

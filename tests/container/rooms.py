@@ -10,9 +10,7 @@ from pathlib import Path
 
 from container.containerfile import Stage, arguments, copied
 from support.process import ROOT
-
-PROGRAMS = {"debootstrap": "debootstrap", "unshare": "util-linux", "chroot": "coreutils"}
-"""Program -> Debian package."""
+from support.system_programs import missing_lines
 
 FIRST_ENV = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"}
 """As the base image has it."""
@@ -27,11 +25,7 @@ IN_A_ROOT = 'mount --rbind /proc "$1/proc" && mount --rbind /dev "$1/dev" && shi
 
 def missing() -> list[str]:
     """What keeps the steps from being carried out here, with what to do; []: nothing."""
-    found = [
-        f"{program} is not installed: apt-get install {package}"
-        for program, package in PROGRAMS.items()
-        if shutil.which(program, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin") is None
-    ]
+    found = missing_lines("test-container")
     if os.geteuid() != 0:
         return [*found, "chroot and mounts are root's: sudo make test-container"]
     if not found and subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode != 0:

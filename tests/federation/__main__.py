@@ -6,15 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from skygcs.errors import SkygcsError
-from skygcs.ext.federation.server_program import find_server
+from support.system_programs import missing_lines
 
 
 def main(words: list[str]) -> int:
-    try:
-        find_server()
-    except SkygcsError as error:
-        print(error)
+    if lines := missing_lines("test-federation"):
+        print(*lines, sep="\n")
         return 1
     # most of them wait: two at a time on any machine
     side_by_side = ("-n", "2", "--dist", "worksteal")

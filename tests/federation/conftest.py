@@ -7,17 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.errors import SkygcsError
-from skygcs.ext.federation.server_program import find_server
 from support.hub import Hub
+from support.needed import needs
 
 
 @pytest.fixture(autouse=True)
 def _nats_server() -> None:
-    try:
-        find_server()
-    except SkygcsError as error:
-        pytest.skip(str(error))
+    needs("test-federation", "nats-server")
 
 
 @pytest.fixture

@@ -91,7 +91,7 @@ async def test_what_is_not_as_it_is_at_the_site_is_thrown_away_and_said(hub: Hub
     async with offered(hub, folder) as (_, bus):
         done = await LogCollector(bus, out.parent, print).collect(["south"])
         assert len(done.problems) == 2
-        assert any("long.tlog: it is not as it is at the site" in problem for problem in done.problems)
+        assert any("long.tlog: it differs from the one at the site" in problem for problem in done.problems)
         assert any("is longer than at the site" in problem for problem in done.problems)
         assert not (out / "long.tlog.part").exists() and not (out / "long.tlog").exists()
         assert (out / "empty.tlog").read_bytes() == b"longer than there"
@@ -151,7 +151,7 @@ async def test_a_part_that_was_changed_on_its_way_is_not_taken(
 
         monkeypatch.setattr(jetstream, "get_msg", changed)
         monkeypatch.setattr(bus, "jetstream", lambda: jetstream)
-        with pytest.raises(BusError, match="is not as it was put there"):
+        with pytest.raises(BusError, match="was changed in the store"):
             await collector._read_object(answer["object"])
 
 
@@ -193,7 +193,7 @@ async def test_a_part_that_is_described_as_none_is_one_problem_and_stops_no_othe
         done = await LogCollector(bus, tmp_path / "out", print).collect(["south"])
         assert [path.name for path in done.files] == ["empty.tlog"]
         (problem,) = done.problems
-        assert problem.startswith("south/long.tlog: ") and "is described as no part of a log is" in problem
+        assert problem.startswith("south/long.tlog: ") and "is not a part of a log" in problem
         assert logs.counters["parts"] == 1  # another attempt would not change it
 
 
@@ -206,7 +206,7 @@ async def test_an_object_of_another_name_is_one_problem(hub: Hub, folder: Path, 
 
         logs._offer = named_otherwise  # type: ignore[method-assign]
         done = await LogCollector(bus, tmp_path / "out", print).collect(["south"])
-        assert done.problems == ["south/long.tlog: the site sent what is no name of an object"]
+        assert done.problems == ["south/long.tlog: the site sent an invalid name of an object"]
 
 
 async def test_a_list_is_bounded_and_has_the_newest(hub: Hub, tmp_path: Path) -> None:

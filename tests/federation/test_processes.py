@@ -135,7 +135,7 @@ async def test_the_command_line_shows_the_other_sites_and_a_hub_that_is_away(hub
         ('site = "north"\nservers = ["nats://10.0.0.1:4222"]\nnkey = "n.nk"', "without TLS anyone on the way"),
         ('servers = ["tls://10.0.0.1"]\nnkey = "n.nk"', "site is missing"),
         ('site = "North"\nservers = ["tls://10.0.0.1"]\nnkey = "n.nk"', "federation.site"),
-        ('site = "north"\nservers = ["http://10.0.0.1"]\nnkey = "n.nk"', "is no address of a hub"),
+        ('site = "north"\nservers = ["http://10.0.0.1"]\nnkey = "n.nk"', "is not an address of a hub"),
         ('site = "north"\nservers = ["tls://10.0.0.1"]\nnkey = "n.nk"\nrates_hz = 1', "did you mean rate_hz"),
         ('site = "north"\nservers = ["nats://127.0.0.1:1"]\nnkey = "absent.nk"', "absent.nk: does not exist; make it"),
     ],

@@ -12,21 +12,20 @@ from typing import Any
 import pytest
 
 from ros.fast_dds import built
-from ros.programs import ROS1, needs
 from ros.rosmaster import Master
 from support.firmware_field import Field
+from support.needed import needs
+from support.system_programs import FAST_DDS, ROS1
 
 NODE_S = 300
 """A flight takes half a minute."""
 
 RATES = "[ros.rates]\nLOCAL_POSITION_NED = 10\nATTITUDE = 10\n"
 
-FAST_DDS = ("g++", "fastddsgen", "libfastrtps-dev")
-
 
 @pytest.fixture(scope="module")
 def program() -> Path:
-    needs(*FAST_DDS)
+    needs("test-ros", *FAST_DDS)
     return built("offboard_node")
 
 
@@ -101,7 +100,7 @@ def test_a_node_that_is_killed_leaves_the_vehicle_hovering(
 
 
 def test_mavros_offboard_node_on_rospy(ground: Field, tmp_path: Path, figures: dict[str, Any]) -> None:
-    needs(*ROS1)
+    needs("test-ros", *ROS1)
     begun = ground.enu(ground.one)
     master = Master(tmp_path)
     master.start()

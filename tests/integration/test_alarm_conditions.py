@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.alarms import kinds
 from skygcs.runtime.recorder import TlogFiles
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 from support.planned import run, state, timed
 from support.pymav import PymavPeer
 
@@ -212,6 +212,7 @@ CONDITIONS: dict[str, tuple[str | None, Step, Step]] = {
 
 ELSEWHERE = {
     "stop": "test_alarms.py",
+    "return": "test_restart_in_flight.py",
     "ground": "test_companion_lost.py",
     "fault": "a fault is ours: `flown` has none",
 }
@@ -221,7 +222,7 @@ ELSEWHERE = {
 async def test_the_condition_raises_its_alarm_and_its_end_ends_it(kind: str, tmp_path: Path) -> None:
     name, begin, end = CONDITIONS[kind]
     settings = {**SETTINGS, "record": kind == "recorder"}
-    async with flown(
+    async with aloft(
         tmp_path, px4=1, ardupilot=1, settings=settings, tables={"alarms": BATTERY}, setpoints_end=False
     ) as gcs:
         client = asyncio.create_task(present(gcs, away=kind == "operator"))

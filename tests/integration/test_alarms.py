@@ -19,7 +19,7 @@ async def alarms(gcs: Flown) -> list[tuple[str, str | None]]:
 
 
 async def test_one_loss_is_one_alarm_and_a_stop_that_was_not_taken_is_one(tmp_path: Path) -> None:
-    async with aloft(tmp_path, px4=3, ardupilot=2, height_m=6.0) as gcs:
+    async with aloft(tmp_path, px4=2, ardupilot=2, height_m=6.0) as gcs:
         assert await alarms(gcs) == []
         gcs.muted.add(2)
         await asyncio.sleep(30.0)

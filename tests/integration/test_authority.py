@@ -19,7 +19,7 @@ from skygcs.rpc.methods import METHODS
 from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.supervised_child import SupervisedChild
 from skygcs.sim.firmware_modes import Px4Mode
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 from support.pymav import PymavPeer
 
 pytestmark = pytest.mark.looptime
@@ -68,7 +68,7 @@ async def shared(folder: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
     shares = {"v1": SharedVehicle(home="north")}
     table = FederationConfig(site="north", servers=("nats://127.0.0.1:4222",), nkey=Path("north.nk"), vehicles=shares)
     tables = {"vehicles": {"v1": {"sysid": 1}}, "extensions": {"federation": table}, "delegated": {"v1"}}
-    async with flown(folder, tables=tables) as gcs:
+    async with aloft(folder, tables=tables) as gcs:
         try:
             yield gcs, authority
         finally:

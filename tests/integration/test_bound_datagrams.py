@@ -9,13 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.routing.sysid_translation import SysidTranslator
-from skygcs.daemon import Daemon
 from skygcs.links import fast_path
 from skygcs.links.udp import UdpServerLink
+from support.daemons import made_daemon, started
 from support.hosts import until
 from support.routed import DIALECT, heartbeat, message
 
@@ -58,30 +56,16 @@ async def test_each_program_gets_its_vehicles_datagrams_whole(
     if pure:
         monkeypatch.setenv(fast_path.PURE, "1")
     links = {
-        name: {
-            "type": "udp_client",
-            "host": "127.0.0.1",
-            "port": sockets[name].getsockname()[1],
-            "role": "gcs",
-            **keys,
-        }
+        name: {"type": "udp_client", "host": "127.0.0.1", "port": sockets[name].getsockname()[1], "role": "gcs", **keys}
         for name, keys in PROGRAMS.items()
     }
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "record": False},
-            "links": {"air": {"type": "udp_server", "host": "127.0.0.1", "port": 0}, **links},
-        }
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
-    air = daemon.links.link("air")
-    assert isinstance(air, UdpServerLink)
-    place = ("127.0.0.1", air.bound_port)
-    sent: list[bytes] = []
-    try:
+    daemon = made_daemon(tmp_path, links={"air": {"type": "udp_server", "host": "127.0.0.1", "port": 0}, **links})
+    async with started(daemon):
+        await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
+        air = daemon.links.link("air")
+        assert isinstance(air, UdpServerLink)
+        place = ("127.0.0.1", air.bound_port)
+        sent: list[bytes] = []
         sockets["v5"].sendto(heartbeat(5), place)
         sockets["v6"].sendto(heartbeat(6), place)
         await until(lambda: daemon.hub.router.channels_of(6 << 8 | 1))
@@ -109,6 +93,3 @@ async def test_each_program_gets_its_vehicles_datagrams_whole(
         reached = [f for data in drained(sockets["v5"]) for f in FrameParser(DIALECT).feed_datagram(data)]
         orders = [f for f in reached if f.name == "COMMAND_LONG"]
         assert [(f.sysid, f.compid, f.target()) for f in orders] == [(255, 0, (5, 0))]
-    finally:
-        daemon.stop()
-        await running

@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.errors import ConfigError, LinkError, RefusedError
-from skygcs.links.memory import MemoryLink
+from support.daemons import memory_link
+from support.examples import covered_by_other_flights
 from support.on_air import OnAir, on_air
 from support.pymav import PymavPeer
 
@@ -29,8 +30,7 @@ class Program(PymavPeer):
 
     def __init__(self, air: OnAir, name: str) -> None:
         super().__init__(255, 0)
-        link = air.daemon.links.link(name)
-        assert isinstance(link, MemoryLink)
+        link = memory_link(air.daemon, name)
         self.name = name
         self.peer = link.peer
         self.peer.on_bytes = self.parse
@@ -144,6 +144,7 @@ async def test_a_script_may_ask_before_it_has_heard_anybody(tmp_path: Path) -> N
         assert program.counters["retargeted"] >= 1
 
 
+@covered_by_other_flights
 async def test_who_reaches_for_another_vehicle_is_told_once_and_reaches_nobody(tmp_path: Path) -> None:
     async with on_air(tmp_path, **RADIO) as air:
         heard = overhear(air)

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig, VehicleEntry
+from skygcs.config.models import ReplayLinkConfig, VehicleEntry
 from skygcs.daemon import Daemon
+from support.daemons import made_daemon, started
 
 CAPTURE = Path(__file__).parents[1] / "data" / "sitl-3ardupilot-2px4.tlog"
 FLIGHT_S = 76.0
@@ -32,24 +32,18 @@ class Flown:
 @contextlib.asynccontextmanager
 async def flight(tmp_path: Path) -> AsyncIterator[Flown]:
     """The daemon after the flight, all events, and the fleet's state every half second."""
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
+    daemon = made_daemon(
+        tmp_path,
         links={"capture": ReplayLinkConfig(name="capture", file=CAPTURE, speed=1.0)},
         vehicles={"one": VehicleEntry(sysid=1, autopilot="ardupilot"), "four": VehicleEntry(sysid=4, autopilot="px4")},
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
     flown = Flown(daemon)
     daemon.event_log.subscribe(flown.events.append)
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    for _ in range(int(FLIGHT_S * 2)):
-        await asyncio.sleep(0.5)
-        flown.states.append({a.name: a.state(daemon.now()) for a in daemon.fleet.vehicles.values()})
-    try:
+    async with started(daemon):
+        for _ in range(int(FLIGHT_S * 2)):
+            await asyncio.sleep(0.5)
+            flown.states.append({a.name: a.state(daemon.now()) for a in daemon.fleet.vehicles.values()})
         yield flown
-    finally:
-        daemon.stop()
-        await running
 
 
 async def test_the_captured_flight_is_seen_as_it_was(tmp_path: Path) -> None:
@@ -116,11 +110,9 @@ def _modes(states: list[dict[str, Any]], name: str) -> list[str]:
 @pytest.mark.parametrize("name", ["px4-late-frames", "second-heartbeat-1hz"])
 async def test_a_flight_that_lost_nothing_shows_no_loss(name: str, tmp_path: Path) -> None:
     """PX4 sent frames up to 12 places late, and another program a vehicle's heartbeat: 276 and 5,610 were counted."""
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"capture": ReplayLinkConfig(name="capture", file=CAPTURE.with_name(f"{name}.tlog"), speed=1.0)},
+    daemon = made_daemon(
+        tmp_path, links={"capture": ReplayLinkConfig(name="capture", file=CAPTURE.with_name(f"{name}.tlog"), speed=1.0)}
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     quality: dict[str, dict[str, Any]] = {}

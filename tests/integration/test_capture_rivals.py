@@ -15,11 +15,11 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig
-from skygcs.daemon import Daemon
+from skygcs.config.models import FleetConfig, ReplayLinkConfig
 from skygcs.ext.logs.flight import RecordedFlight
 from skygcs.ext.logs.tables import FlightTables
 from skygcs.tlog.reading import LogReader
+from support.daemons import made_daemon
 
 DATA = Path(__file__).parents[1] / "data"
 RIVALS = pytest.mark.parametrize(("name", "sysid"), [("forged-heartbeat-50hz", 1), ("second-heartbeat-1hz", 3)])
@@ -44,11 +44,9 @@ async def test_the_vehicle_keeps_its_state_and_the_rival_is_reported(tmp_path: P
     truth = [(at, m) for at, m in heartbeats(name, sysid) if m.autopilot != mav.MAV_AUTOPILOT_INVALID]
     third_party = [m for _, m in heartbeats(name, sysid) if m.autopilot == mav.MAV_AUTOPILOT_INVALID]
     assert len(third_party) > 10 and {m.autopilot for _, m in truth} == {mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
+    daemon = made_daemon(
+        tmp_path, links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)}
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
     events: list[dict[str, Any]] = []
     daemon.event_log.subscribe(events.append)
     running = asyncio.create_task(daemon.run())

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.flown import SETPOINTS
 
@@ -37,6 +38,21 @@ async def test_the_ground_orders_and_the_companion_flies(tmp_path: Path, kind: d
         await asyncio.sleep(10)
         assert not pair.pi.setpoints(ended + 0.1)
         assert pair.pi.is_safe()
+
+
+async def test_a_companion_obeys_a_ground_that_stood_still(tmp_path: Path) -> None:
+    """It took the orders of the ground's new actor, whose numbers began anew, for repeats of those before."""
+    async with companion_pair(tmp_path, px4=1) as pair:
+        await pair.done("control.set", mode="attitude")
+        for x_m in (5.0, 0.0, 5.0, 0.0):
+            await pair.done("vehicles.goto", enu_m=[x_m, 0.0, 12.0])
+            await asyncio.sleep(2)
+        pair.ground.fleet._woke(Standstill(10.0, slept=False))
+        await asyncio.sleep(10)
+        await pair.done("control.set", mode="attitude")
+        await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 12.0])
+        await asyncio.sleep(12)
+        assert pair.pi.place() == pytest.approx((5.0, 0.0, 12.0), abs=0.3)
 
 
 async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:

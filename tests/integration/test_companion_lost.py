@@ -11,14 +11,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.ext.companions.mirrored_control import REPORTS_SILENT_S
-from skygcs.links.memory import MemoryLink
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.companion_pair import Pair, circle, companion_pair, start_circle
+from support.daemons import memory_link
+from support.examples import covered_by_other_flights
 from support.flown import SETPOINTS
 from support.pymav import PymavPeer
-
-COSTS = "two daemons, at the ground and on the vehicle, in each of its tests"
 
 pytestmark = pytest.mark.looptime
 
@@ -105,11 +104,11 @@ async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_pa
         assert pair.control()["state"] == "off"
 
 
+@covered_by_other_flights
 async def test_another_station_with_the_ids_of_the_ground_is_not_the_ground(tmp_path: Path) -> None:
     """Every station is 255/25 by default; one that came to the companion over a radio kept it flying for ever."""
     async with companion_pair(tmp_path, engaged="position") as pair:
-        others = pair.pi.daemon.links.link("others")
-        assert isinstance(others, MemoryLink)
+        others = memory_link(pair.pi.daemon, "others")
         station = PymavPeer(*pair.ground.fleet._services.own)
         await pair.lose_ground()
         lost = pair.now
@@ -120,6 +119,7 @@ async def test_another_station_with_the_ids_of_the_ground_is_not_the_ground(tmp_
         await pair.until(lambda: mode(pair) in RETURNING, 5.0)
 
 
+@covered_by_other_flights
 @KINDS
 async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: dict[str, Any]) -> None:
     """The ground still hears the vehicle, over a radio: left to the wind it was 324 m away after 60 s."""
@@ -151,6 +151,7 @@ async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: d
         await pair.until(lambda: mode(pair) in LANDING, 10.0)
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("which", ["companion", "ground", "both"])
 async def test_after_a_restart_somebody_flies_it_or_it_holds(tmp_path: Path, which: str) -> None:
     """Flown by attitude in wind; killed for 2 s are the companion, the ground, or both at once."""
@@ -180,6 +181,7 @@ async def test_after_a_restart_somebody_flies_it_or_it_holds(tmp_path: Path, whi
             assert pair.pi.farthest_m(begun + 2.0) < 8.0
 
 
+@covered_by_other_flights
 @KINDS
 async def test_the_pilot_takes_it_and_nobody_takes_it_back(tmp_path: Path, kind: dict[str, Any]) -> None:
     async with companion_pair(tmp_path, engaged="position", **kind) as pair:
@@ -213,6 +215,7 @@ async def test_a_lost_answer_is_asked_for_again_and_the_order_carried_out_once(t
         assert len(engaged) == 1
 
 
+@covered_by_other_flights
 async def test_an_order_without_any_answer_has_an_unknown_outcome(tmp_path: Path) -> None:
     async with companion_pair(tmp_path, engaged="position") as pair:
         pair.calls.lose_answer = lambda method, given: given.get("order") == "goto"
@@ -237,3 +240,15 @@ async def test_a_release_ends_an_engagement_that_comes_after_it(tmp_path: Path) 
         assert not outcome["ok"] and "newer order" in outcome["message"], outcome
         await asyncio.sleep(5)
         assert not pair.pi.setpoints(began)
+
+
+async def test_an_engagement_that_was_lost_on_its_way_is_not_repeated_to_a_pilot(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, px4=0, ardupilot=1) as pair:
+        began = pair.now
+        pair.calls.lose = lambda method, given: given.get("order") == "engage" and pair.now < began + 2.0
+        engaging = asyncio.create_task(pair.outcome("control.set", mode="position"))
+        await asyncio.sleep(0.1)
+        pair.pi.other_sets_mode(int(CopterMode.LOITER))
+        outcome = await engaging
+        assert not outcome["ok"] and "switched to LOITER since, which its pilot flies" in outcome["message"], outcome
+        assert not pair.pi.setpoints(began) and mode(pair) == CopterMode.LOITER

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.firmware_modes import Px4Mode
 from support.called import plans_of
 from support.companion_pair import Pair, companion_pair
+from support.daemons import simulated_link
 from support.planned import Places, content, inline, timed
 
 pytestmark = pytest.mark.looptime
@@ -50,8 +50,7 @@ def state(pair: Pair) -> str:
 
 def second(pair: Pair) -> tuple[float, float]:
     """Where v2 is, along and across."""
-    link = pair.ground.links.link("own")
-    assert isinstance(link, SimulatedVehiclesLink)
+    link = simulated_link(pair.ground, "own")
     motion = link.vehicles[0].motion
     return motion.east_m, motion.north_m
 

@@ -18,8 +18,8 @@ from skygcs.daemon import Daemon
 from skygcs.ext.companions.companion_table import CompanionConfig
 from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.role import as_companion
-from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
+from support.daemons import memory_link, started
 from support.routed import DIALECT, heartbeat, message
 
 pytestmark = pytest.mark.looptime
@@ -31,8 +31,7 @@ class Far:
     """The far end of one of the daemon's links."""
 
     def __init__(self, daemon: Daemon, name: str) -> None:
-        link = daemon.links.link(name)
-        assert isinstance(link, MemoryLink)
+        link = memory_link(daemon, name)
         self.peer = link.peer
 
     def send(self, *frames: bytes) -> None:
@@ -61,14 +60,9 @@ async def companion(folder: Path) -> AsyncIterator[tuple[Daemon, Far, Far]]:
     )
     config = config.model_copy(update={"extensions": {"companion": table}})
     daemon = Daemon(as_companion(table, config), DIALECT)
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await asyncio.sleep(1.0)
-    try:
+    async with started(daemon):
+        await asyncio.sleep(1.0)
         yield daemon, Far(daemon, "autopilot"), Far(daemon, GROUND_LINK)
-    finally:
-        daemon.stop()
-        await task
 
 
 def command(target: int, compid: int, seq: int, command: int = 511) -> bytes:

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import Px4Mode
+from support.examples import covered_by_other_flights
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("left_m", [0.3, 1.0, 1.5, 2.0])
 async def test_the_end_of_the_takeoff_is_no_other_program(tmp_path: Path, left_m: float) -> None:
     async with flown(tmp_path, takeoff=False) as gcs:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.conditions import Conditions
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -24,6 +25,7 @@ def moved_m(gcs: Flown, since: float) -> tuple[float, float]:
     return max(math.hypot(p[0] - x, p[1] - y) for p in looks), max(abs(p[2] - z) for p in looks)
 
 
+@covered_by_other_flights
 @KINDS
 async def test_entry_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, conditions=WIND, **kind) as gcs:
@@ -36,6 +38,7 @@ async def test_entry_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
         assert plane_m <= 0.25 and height_m <= 0.1
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("hover_thrust", [0.36, 0.54])
 async def test_entry_with_a_wrong_hover_thrust(tmp_path: Path, kind: dict[str, int], hover_thrust: float) -> None:
@@ -48,6 +51,7 @@ async def test_entry_with_a_wrong_hover_thrust(tmp_path: Path, kind: dict[str, i
         assert moved_m(gcs, began)[1] <= 0.1
 
 
+@covered_by_other_flights
 @KINDS
 async def test_return_after_a_fall_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, conditions=WIND, control={"return_after_s": 3.0, "hover_thrust": 0.5}, **kind) as gcs:

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.radio_link.transmit_queue import TxQueue
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
+from support.examples import covered_by_other_flights
 from support.flown import HOLDING, Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -54,9 +55,7 @@ async def carried_out(gcs: Flown, order: str) -> None:
 @ALL_ORDERS
 async def test_an_order_while_it_flies_ends_control_at_once(tmp_path: Path, kind: dict[str, int], order: str) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("attitude")
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        await gcs.in_mid_step("attitude")
         since = gcs.now
         await carried_out(gcs, order)
         assert len(gcs.texts(since)) == 1, gcs.texts(since)
@@ -132,6 +131,7 @@ async def test_the_stream_does_not_get_through(tmp_path: Path, monkeypatch: pyte
         assert sim.mode == Px4Mode.LOITER
 
 
+@covered_by_other_flights
 async def test_a_landing_of_all_by_broadcast_ends_control_of_all(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=1, ardupilot=2) as gcs:
         await gcs.fly("attitude", targets="all")
@@ -168,9 +168,7 @@ async def test_a_fault_of_ours_ends_control_in_a_hold(
     tmp_path: Path, kind: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("attitude")
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        await gcs.in_mid_step("attitude")
         broken = gcs.now
 
         def attitude_target(*args: Any, **more: Any) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -58,6 +59,7 @@ async def beyond_m(
         return fast, max(sign * (look.pos_m[axis] - goal[axis]) for look in gcs.truth[1] if look.at >= fault)
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("step", STEPS, ids=lambda s: f"{s[0]:g} m {'up' if s[2] else 'east'} at {s[1]:g}")
 async def test_attitude_builds_up_no_more_than_can_be_stopped(
@@ -68,6 +70,7 @@ async def test_attitude_builds_up_no_more_than_can_be_stopped(
     assert beyond <= allowed_m(fast)
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_step_by_velocity_is_braked_before_its_goal(tmp_path: Path, kind: dict[str, int]) -> None:
     """An ArduCopter, which brakes with 2.5 m/s², used to go 2.8 m beyond without any fault, and 6 m with it."""
@@ -77,6 +80,7 @@ async def test_a_step_by_velocity_is_braked_before_its_goal(tmp_path: Path, kind
     assert beyond <= allowed_m(fast)
 
 
+@covered_by_other_flights
 async def test_without_the_limit_it_goes_far_beyond(tmp_path: Path) -> None:
     """The simulated ArduCopter shows what the real one did: 12 m."""
     limits = {"acc_xy_max_mps2": 100.0, "acc_z_max_mps2": 100.0}

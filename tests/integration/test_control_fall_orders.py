@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 from support.virtual_uvloop import VirtualUvloop
 
@@ -41,6 +42,7 @@ async def falling(gcs: Flown) -> float:
     return await gcs.until(lambda: gcs.control()["control_mode"] != "attitude", 5.0)
 
 
+@covered_by_other_flights
 @KINDS
 @MOMENTS
 def test_switched_off_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
@@ -57,6 +59,7 @@ def test_switched_off_while_it_falls(tmp_path: Path, kind: dict[str, int], after
     fly(tmp_path, kind, scenario)
 
 
+@covered_by_other_flights
 @KINDS
 @MOMENTS
 def test_ordered_again_and_again_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
@@ -81,6 +84,7 @@ def test_ordered_again_and_again_while_it_falls(tmp_path: Path, kind: dict[str, 
     fly(tmp_path, kind, scenario)
 
 
+@covered_by_other_flights
 @KINDS
 @MOMENTS
 def test_a_pilot_takes_it_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
@@ -103,6 +107,7 @@ def test_a_pilot_takes_it_while_it_falls(tmp_path: Path, kind: dict[str, int], a
     fly(tmp_path, kind, scenario)
 
 
+@covered_by_other_flights
 @KINDS
 @MOMENTS
 def test_sigterm_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
@@ -116,6 +121,7 @@ def test_sigterm_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: f
     fly(tmp_path, kind, scenario)
 
 
+@covered_by_other_flights
 @KINDS
 def test_an_uplink_that_swings_about_the_limit_changes_the_mode_once(tmp_path: Path, kind: dict[str, int]) -> None:
     """60 s, there and back every 0.7 s: 0.03 s is flown, 0.12 s is not."""

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.conditions import conditions_of
+from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -22,6 +23,7 @@ DENIED: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("order", DENIED)
 async def test_an_order_that_is_denied_leaves_it_held(tmp_path: Path, kind: dict[str, int], order: str) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from skygcs.errors import RefusedError
+from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, aloft
-
-COSTS = "eight flights under control by setpoints"
 
 pytestmark = pytest.mark.looptime
 
@@ -22,15 +22,15 @@ def thrusts(gcs: Flown, since: float) -> list[float]:
     return [float(s.values["thrust"]) for s in gcs.setpoints(since) if s.name == "SET_ATTITUDE_TARGET"]
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
 async def test_goto_moves_the_reference_and_nothing_else(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         start, began = gcs.place(), gcs.now
-        for by in ((3.0, 0.0, 0.0), (0.0, -3.0, 0.0), (0.0, 0.0, 2.0)):
-            await gcs.step(*by)
-            await asyncio.sleep(14)
+        await gcs.step(3.0, -3.0, 2.0)
+        await asyncio.sleep(16)
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1] - 3.0, start[2] + 2.0), abs=0.4)
         assert not gcs.commands(began), "no DO_REPOSITION, no mode"
         assert gcs.control()["state"] == "flying" and not gcs.texts(began)
@@ -53,6 +53,7 @@ async def test_several_keep_their_formation(tmp_path: Path) -> None:
         assert all(o["result"] == "refused" for o in one_place.values())
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_stream_that_ends_leaves_it_where_it_then_is(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
@@ -74,6 +75,7 @@ async def test_a_stream_that_ends_leaves_it_where_it_then_is(tmp_path: Path, kin
         assert gcs.place() == pytest.approx(still, abs=0.2)
 
 
+@covered_by_other_flights
 async def test_a_new_origin_waits_for_all_that_hold_or_follow_and_the_stream_goes_on(tmp_path: Path) -> None:
     """Three hold, each flown another way; a fourth follows a stream of places."""
     async with aloft(tmp_path, px4=3, ardupilot=1) as gcs:
@@ -97,45 +99,36 @@ async def test_a_new_origin_waits_for_all_that_hold_or_follow_and_the_stream_goe
 
 
 @KINDS
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"z": {"vel_p": 0.2, "vel_i": 0.03}},
-        {"xy": {"pos_p_per_s": 0.7, "vel_p": 0.1}},
-        {"hover_thrust": 0.40},
-        {"hover_thrust": 0.55},
-    ],
-    ids=str,
-)
-async def test_new_gains_make_no_jump(tmp_path: Path, kind: dict[str, int], changes: dict[str, object]) -> None:
+async def test_new_gains_make_no_jump_and_those_that_the_delay_does_not_bear_take_force(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
     async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("attitude")
-        await asyncio.sleep(30)
-        before = gcs.now
-        await asyncio.sleep(0.5)
-        changed = gcs.now
-        await gcs.done("control.gains", **changes, force=True)
-        await asyncio.sleep(0.3)
-        old, new = thrusts(gcs, before), thrusts(gcs, changed)
-        assert new[0] == pytest.approx(old[-len(new) - 1], abs=0.01)
         await asyncio.sleep(20)
-        assert gcs.farthest_m(changed) < 0.3
-        assert max(thrusts(gcs, changed)) - min(thrusts(gcs, changed)) < 0.05
-        assert gcs.control()["control_mode"] == "attitude"
-
-
-async def test_gains_that_the_delay_does_not_bear_take_force(tmp_path: Path) -> None:
-    async with aloft(tmp_path) as gcs:
-        await gcs.fly("attitude")
         before = gcs.actor().offboard.gains()
         outcome = await gcs.outcome("control.gains", xy={"pos_p_per_s": 4.0, "vel_p": 0.9})
         assert outcome["result"] == "refused" and "force" in outcome["message"], outcome
-        assert gcs.actor().offboard.gains() == before
         wrong = await gcs.outcome("control.gains", hover_thrust=0.95)
         assert wrong["result"] == "refused", wrong
         assert gcs.actor().offboard.gains() == before
-        forced = await gcs.outcome("control.gains", xy={"pos_p_per_s": 1.5, "vel_p": 0.35}, force=True)
-        assert forced["ok"] and gcs.actor().offboard.gains() != before
+        changes: tuple[dict[str, Any], ...] = (
+            {"z": {"vel_p": 0.2, "vel_i": 0.03}},
+            {"xy": {"pos_p_per_s": 0.7, "vel_p": 0.1}},
+            {"hover_thrust": 0.40},
+            {"hover_thrust": 0.55},
+        )
+        for change in changes:
+            since = gcs.now
+            await asyncio.sleep(0.5)
+            changed = gcs.now
+            await gcs.done("control.gains", **change, force=True)
+            await asyncio.sleep(0.3)
+            old, new = thrusts(gcs, since), thrusts(gcs, changed)
+            assert new[0] == pytest.approx(old[-len(new) - 1], abs=0.01), change
+            await asyncio.sleep(8)
+            assert gcs.farthest_m(changed) < 0.3, change
+            assert max(thrusts(gcs, changed)) - min(thrusts(gcs, changed)) < 0.05, change
+            assert gcs.control()["control_mode"] == "attitude"
 
 
 async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp_path: Path) -> None:
@@ -146,6 +139,7 @@ async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp
         assert gains["hover_thrust"] == pytest.approx(0.47, abs=1e-6) and gains["xy"]["pos_p_per_s"] == 0.9
 
 
+@covered_by_other_flights
 @KINDS
 async def test_from_way_to_way_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind) as gcs:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.conditions import Conditions
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
@@ -51,12 +52,10 @@ async def rms_m(gcs: Flown, path: Callable[[float], Point], seconds: float, *, l
     return math.sqrt(sum(d * d for d in off) / len(off))
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize(
     ("kind", "delay_s", "path", "limit_m"),
-    [
-        ({"px4": 1}, 0.05, circle, 0.35),
-        ({"px4": 0, "ardupilot": 1}, 0.8, circle, 0.35),
-    ],
+    [({"px4": 1}, 0.05, circle, 0.35), ({"px4": 0, "ardupilot": 1}, 0.8, circle, 0.35)],
     ids=["px4-circle", "ardupilot-circle"],
 )
 async def test_a_path_is_followed_over_a_slow_link(
@@ -72,6 +71,7 @@ async def test_a_path_is_followed_over_a_slow_link(
         assert await rms_m(gcs, path, 30.0) <= limit_m
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("across", [True, False], ids=["velocity across", "velocity up"])
 async def test_a_mixed_climb_does_not_swing_at_two_seconds_of_delay(

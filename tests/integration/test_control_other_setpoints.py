@@ -8,12 +8,10 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
-from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.runtime.vehicle_actor import VehicleActor
-from support.flown import flown
+from support.daemons import made_daemon
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -21,7 +19,7 @@ BY_HAND: dict[str, Any] = {"coordinate_frame": 1, "type_mask": 0xDC7, "vx": 1.0}
 
 
 async def test_no_setpoint_by_hand_goes_to_a_vehicle_that_is_flown_by_ours(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1) as gcs:
+    async with aloft(tmp_path, px4=1) as gcs:
         await gcs.fly("velocity")
         send = gcs.daemon.message_sender.send
         for to in ({"target": "v1"}, {"target": "all"}, {"link": "air"}, {}):
@@ -32,7 +30,7 @@ async def test_no_setpoint_by_hand_goes_to_a_vehicle_that_is_flown_by_ours(tmp_p
 
 
 async def test_a_vehicle_that_throws_setpoints_away_is_held_and_may_be_taken_up_again(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1) as gcs:
+    async with aloft(tmp_path, px4=1) as gcs:
         await gcs.fly("velocity")
         await gcs.step(5.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
@@ -46,13 +44,7 @@ async def test_a_vehicle_that_throws_setpoints_away_is_held_and_may_be_taken_up_
 
 
 async def test_a_takeoff_may_be_ordered_before_the_vehicle_knows_where_it_is(tmp_path: Path) -> None:
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": str(tmp_path / "s"), "log_dir": str(tmp_path), "record": False},
-            "links": {"sim": {"type": "simulated", "px4": 1}},
-        }
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
+    daemon = made_daemon(tmp_path, links={"sim": {"type": "simulated", "px4": 1}})
     task = asyncio.create_task(daemon.run())
     try:
         await asyncio.sleep(1.5)  # the first heartbeat came, no position yet

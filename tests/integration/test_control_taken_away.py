@@ -10,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
@@ -21,15 +22,14 @@ def px4(gcs: Flown) -> bool:
     return gcs.actor().vehicle.family == "px4"
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_another_ground_station_takes_it_home_in_mid_step(
     tmp_path: Path, kind: dict[str, int], mode: str
 ) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly(mode)
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        await gcs.in_mid_step(mode)
         taken = gcs.now
         gcs.other_sets_mode(4, 5) if px4(gcs) else gcs.other_sets_mode(int(CopterMode.RTL))
         await gcs.until(lambda: gcs.control()["state"] == "off", 2.0)
@@ -43,6 +43,7 @@ async def test_another_ground_station_takes_it_home_in_mid_step(
         assert gcs.farthest_m(taken) < 40.0  # the return's climb
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_mode_taken_while_control_is_being_taken_up_is_left_alone(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind) as gcs:
@@ -93,6 +94,7 @@ async def test_rebooted_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
         assert not [c for c in gcs.commands(gone) if int(c.values["command"]) == 400]
 
 
+@covered_by_other_flights
 @KINDS
 async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind) as gcs:

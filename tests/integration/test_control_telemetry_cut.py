@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
+from support.examples import covered_by_other_flights
 from support.flown import HOLDING, aloft
 
 pytestmark = pytest.mark.looptime
@@ -15,15 +16,13 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_there(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("attitude")
-        start = gcs.place()
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        start = await gcs.in_mid_step("attitude")
         cut = gcs.now
         gcs.sim().faults.mute = True
         await asyncio.sleep(1.5)
@@ -42,12 +41,10 @@ async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_the
         await gcs.fly("attitude")
 
 
+@covered_by_other_flights
 async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_path: Path) -> None:
     async with aloft(tmp_path, control={"return_after_s": 4.0}) as gcs:
-        await gcs.fly("attitude")
-        start = gcs.place()
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        start = await gcs.in_mid_step("attitude")
         gcs.sim().faults.mute = True
         await asyncio.sleep(1.5)
         gcs.sim().faults.mute = False
@@ -60,14 +57,12 @@ async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_p
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.4)
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("cut_s", [2.5, 10.0])
 async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind: dict[str, int], cut_s: float) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("attitude")
-        start = gcs.place()
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        start = await gcs.in_mid_step("attitude")
         cut = gcs.now
         gcs.sim().faults.mute = True
         await asyncio.sleep(cut_s)
@@ -89,6 +84,7 @@ async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind
                 assert corrected == "it holds in AUTO.LOITER, as it was ordered while it was not heard"
 
 
+@covered_by_other_flights
 async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
         await gcs.fly("velocity")
@@ -106,6 +102,7 @@ async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
         assert "its velocity setpoints end: it stays where it is" in gcs.texts(cut)
 
 
+@covered_by_other_flights
 async def test_velocities_that_go_on_coming_are_reported_once_as_not_flown(tmp_path: Path) -> None:
     """Seen on real firmware: an event for each of them, five a second."""
     async with aloft(tmp_path) as gcs:
@@ -121,13 +118,11 @@ async def test_velocities_that_go_on_coming_are_reported_once_as_not_flown(tmp_p
         assert gcs.texts(cut).count("its velocity setpoints end: it stays where it is") == 1
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("attitude")
-        start = gcs.place()
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        start = await gcs.in_mid_step("attitude")
         stopped = gcs.now
         gcs.daemon.stop()
         await asyncio.sleep(1.2)
@@ -136,6 +131,7 @@ async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind
         assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.GUIDED)
 
 
+@covered_by_other_flights
 async def test_a_daemon_of_which_a_part_fails_sends_nothing_more(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
@@ -154,10 +150,7 @@ async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(
 ) -> None:
     """An ArduCopter whose attitude ends is level, but not still: what ends that is its failsafe for a lost station."""
     async with aloft(tmp_path, params={"FS_GCS_ENABLE": 1}, **kind) as gcs:
-        await gcs.fly(mode)
-        start = gcs.place()
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        start = await gcs.in_mid_step(mode)
         died, gcs.cut = gcs.now, True
         await asyncio.sleep(4.5)
         assert gcs.farthest_m(died, of=start) < (12.0 if kind != {"px4": 1} and mode == "attitude" else 5.5)

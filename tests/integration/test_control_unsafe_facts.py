@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.conditions import Conditions
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -37,12 +38,11 @@ async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: floa
     assert {int(c.values["command"]) for c in gcs.commands(since)} == gcs.hold_commands
 
 
+@covered_by_other_flights
 @KINDS_AND_MODES
 async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     async with aloft(tmp_path, control={"battery_min_percent": 30.0}, **kind) as gcs:
-        await gcs.fly(mode)
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        await gcs.in_mid_step(mode)
         low = gcs.now
         gcs.sim().battery.set_percent(28)
         await held_once(gcs, low, latest_s=4.0, within_m=5.0, why="the battery is at 28 % (limit 30 %)")
@@ -51,12 +51,11 @@ async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: st
         await gcs.ends_safe(within_m=5.0, since=low)
 
 
+@covered_by_other_flights
 @KINDS_AND_MODES
 async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly(mode)
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        await gcs.in_mid_step(mode)
         broken = gcs.now
         gcs.sim().faults.nan_attitude = True
         await held_once(gcs, broken, latest_s=2.0, within_m=5.0, why="NaN")
@@ -68,9 +67,7 @@ async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) 
 async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     """Without a position no mode holds one: the autopilot lands, by the order's refusal or by its own failsafe."""
     async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly(mode)
-        await gcs.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(1.0)
+        await gcs.in_mid_step(mode)
         lost = gcs.now
         gcs.sim().faults.gps_lost = True
         await gcs.until(lambda: gcs.control()["state"] in ("held", "off"), 4.0)
@@ -82,6 +79,7 @@ async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> N
         assert len(ends) == 1, ends
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
@@ -98,6 +96,7 @@ async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: di
         assert gcs.control()["state"] == "flying"
 
 
+@covered_by_other_flights
 @KINDS
 async def test_the_wind_carries_it_out(tmp_path: Path, kind: dict[str, int]) -> None:
     """The law may lean 5 degrees, which does not bear this wind; the autopilot may more."""

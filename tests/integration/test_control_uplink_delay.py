@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -14,6 +15,7 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("phase_s", [0.0, 0.05, 0.1, 0.15, 0.19])
 async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
@@ -39,17 +41,7 @@ async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
         assert gcs.place() == pytest.approx((start[0] + 8.0, start[1], start[2]), abs=0.5)
 
 
-@pytest.mark.deep
-async def test_five_percent_of_loss_each_way_is_no_delay(tmp_path: Path) -> None:
-    links = {"air": {"type": "memory", "role": "radio", "delay_s": 0.01, "loss": 0.05}}
-    async with aloft(tmp_path, links=links) as gcs:
-        assert (await gcs.outcome("control.set", mode="attitude"))["ok"]
-        await gcs.until(lambda: gcs.control()["control_mode"] == "attitude")
-        began = gcs.now
-        await asyncio.sleep(120.0)
-        assert gcs.texts(began) == [] and gcs.control()["control_mode"] == "attitude"
-
-
+@covered_by_other_flights
 async def test_the_return_waits_for_twenty_good_pongs_and_then_return_after_s(tmp_path: Path) -> None:
     async with aloft(tmp_path, delay_s=0.01, control={"return_after_s": 2.0}) as gcs:
         await gcs.fly("attitude")

@@ -11,6 +11,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc.links import CorrectionsStatus, CorrectionsTaken
+from support.examples import covered_by_other_flights
 from support.flown import Flown
 from support.grounded import on_the_ground
 from support.rtcm import STANDARD_1005, rtcm_frame
@@ -80,6 +81,7 @@ async def test_a_piece_tells_what_it_completed(tmp_path: Path) -> None:
         assert (then["messages"], then["types"], then["too_long"], then["bad_crc"]) == (1, {"1077": 1}, 1, 1)
 
 
+@covered_by_other_flights
 async def test_two_bases_at_a_time_are_refused(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
         await send(gcs, STANDARD_1005[:10], source="roof")
@@ -103,6 +105,7 @@ async def test_what_no_link_takes_is_told(tmp_path: Path) -> None:
         assert (await gcs("corrections.status"))["refused"] == 1
 
 
+@covered_by_other_flights
 async def test_a_ground_station_hears_nothing_of_them(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
         await gcs.daemon.links.add("gcs", {"type": "memory", "role": "gcs"})

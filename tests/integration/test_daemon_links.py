@@ -11,50 +11,36 @@ from typing import Any
 import pytest
 import structlog
 
-from skygcs.config.dialects import load_dialect, offline_dialect
+from skygcs.config.dialects import offline_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, SerialLinkConfig
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, LinkError, RefusedError
-from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.tlog.reading import LogReader
+from support.daemons import made_daemon, memory_link, started
+from support.hosts import until
 from support.process import free_port
 from support.routed import heartbeat, message
 
 
 @contextlib.asynccontextmanager
 async def running(tmp_path: Path, *, record: bool = False, **links: dict[str, Any]) -> AsyncIterator[Daemon]:
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=record),
+    daemon = made_daemon(
+        tmp_path,
+        daemon={"record": record},
         links={name: MemoryLinkConfig(name=name, **keys) for name, keys in links.items()},
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: all(row["state"] in ("up", "disabled") for row in daemon.links.status()))
-    try:
+    async with started(daemon):
+        await until(lambda: all(row["state"] in ("up", "disabled") for row in daemon.links.status()))
         yield daemon
-    finally:
-        daemon.stop()
-        await task
-
-
-async def until(condition: Any) -> None:
-    for _ in range(1000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("never happened")
 
 
 def peer_of(daemon: Daemon, name: str) -> Any:
-    link = daemon.links.link(name)
-    assert isinstance(link, MemoryLink)
-    return link.peer
+    return memory_link(daemon, name).peer
 
 
 async def test_a_link_added_changed_and_removed_at_run_time(tmp_path: Path) -> None:
@@ -239,7 +225,7 @@ async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp
     async with with_vehicles(tmp_path) as daemon:
         key = 7 << 8 | 1
         channel = next(iter(daemon.hub.channels))
-        daemon.hub.router.notes.append(
+        daemon.hub.router.table.notes.append(
             RouteNote("duplicate", 7, 1, channel, present_id=channel, why="boot time differ")
         )
         daemon.hub.tick(daemon.now())
@@ -249,7 +235,7 @@ async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp
         [outcome] = (await daemon.fleet.orders.command_all("7", VehicleActor.arm)).values()
         assert outcome.result == "refused"
         assert daemon.fleet.vehicles[key].state(daemon.now())["duplicate_sysid"] is True
-        daemon.hub.router.notes.append(RouteNote("duplicate_over", 7, 1, channel))
+        daemon.hub.router.table.notes.append(RouteNote("duplicate_over", 7, 1, channel))
         daemon.hub.tick(daemon.now())
         assert (daemon.event_log.recent[-1]["kind"], daemon.event_log.recent[-1]["data"]["change"]) == (
             "duplicate",
@@ -316,20 +302,11 @@ async def test_a_fault_in_one_vehicles_tick_grounds_nobody_and_is_told_once(tmp_
 
 async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_path: Path) -> None:
     missing = SerialLinkConfig(name="usb", device=str(tmp_path / "no-such-device"))
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"gcs": MemoryLinkConfig(name="gcs"), "usb": missing},
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
+    daemon = made_daemon(tmp_path, links={"gcs": MemoryLinkConfig(name="gcs"), "usb": missing})
     with structlog.testing.capture_logs() as reported:
-        task = asyncio.create_task(daemon.run())
-        await daemon.ready.wait()
-        try:
+        async with started(daemon):
             await until(lambda: {row["state"] for row in daemon.links.status()} == {"up", "down"})
             assert daemon.links.open_names() == ["gcs"]
-        finally:
-            daemon.stop()
-            await task
     levels = {line["event"].split(":")[0]: line["log_level"] for line in reported}
     assert levels["link usb is down"] == "warning" and levels["link gcs is up"] == "info"
 

@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError
 from skygcs.ext.drills.extension import Drills, DrillsConfig
-from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.quad import Quad
 from skygcs.sim.vehicle import SimVehicle
 from support.called import call
+from support.daemons import made_daemon, simulated_link, started
+from support.examples import covered_by_other_flights
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime
@@ -46,8 +46,7 @@ class Station:
         return dict(outcome)
 
     def sim(self, name: str = "v1") -> SimVehicle:
-        link = self.daemon.links.link("sim")
-        assert isinstance(link, SimulatedVehiclesLink)
+        link = simulated_link(self.daemon, "sim")
         return next(vehicle for vehicle in link.vehicles if vehicle.sysid == int(name[1:]))
 
     async def state(self, name: str = "v1") -> dict[str, Any]:
@@ -57,24 +56,12 @@ class Station:
 
 @asynccontextmanager
 async def station(tmp_path: Path, *, drills: bool = True, dynamics: str = "rigid") -> AsyncIterator[Station]:
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "links": {"sim": {"type": "simulated", "px4": 1, "ardupilot": 1, "dynamics": dynamics}},
-        }
-    )
-    config = with_drills(config) if drills else config
-    daemon = Daemon(config, load_dialect(config.dialect))
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    lab = Station(daemon)
-    await asyncio.sleep(10.0)  # both are heard, and their estimators have converged
-    assert len(daemon.fleet.vehicles) == 2
-    try:
+    links = {"sim": {"type": "simulated", "px4": 1, "ardupilot": 1, "dynamics": dynamics}}
+    async with started(made_daemon(tmp_path, links=links, prepared=with_drills if drills else None)) as daemon:
+        lab = Station(daemon)
+        await asyncio.sleep(10.0)  # both are heard, and their estimators have converged
+        assert len(daemon.fleet.vehicles) == 2
         yield lab
-    finally:
-        daemon.stop()
-        await running
         assert not [event for event in lab.events if event["kind"] == "fault"]
 
 
@@ -105,6 +92,7 @@ async def test_a_deaf_vehicle_takes_no_order_until_the_fault_has_ended(tmp_path:
         assert (await lab.outcome("vehicles.arm"))["ok"]
 
 
+@covered_by_other_flights
 async def test_a_cut_link_loses_the_vehicle_and_gives_it_back(tmp_path: Path) -> None:
     async with station(tmp_path) as lab:
         await lab.outcome("drills.begin", fault="link")
@@ -203,9 +191,7 @@ def test_check_notes_other_links_beside_those_with_drills(tmp_path: Path) -> Non
     assert Drills.fleet_notes(DrillsConfig(), fleet) == []
 
 
-async def test_without_its_table_there_is_no_method_and_without_simulated_links_no_table(
-    tmp_path: Path,
-) -> None:
+async def test_without_its_table_there_is_no_method_and_without_simulated_links_no_table(tmp_path: Path) -> None:
     async with station(tmp_path, drills=False) as lab:
         with pytest.raises(Exception, match="drills"):
             await lab("drills.begin", targets="v1", fault="gps")

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig
+from skygcs.config.models import MemoryLinkConfig
 from skygcs.daemon import Daemon
 from skygcs.errors import RpcError
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
+from support.daemons import made_daemon, started
+from support.hosts import until
 from support.pymav import PymavPeer
 
 GUIDED, LAND = 4, 9
@@ -64,37 +65,23 @@ class Copter(PymavPeer):
 async def flown(tmp_path: Path, *deaf: int) -> AsyncIterator[tuple[Daemon, list[Copter]]]:
     """A daemon and one copter for each number of lost commands."""
     links = {name: MemoryLinkConfig(name=name, role="radio") for name in ("radio", "wifi")}
-    settings = DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False)
-    config = FleetConfig.model_validate({"daemon": settings, "links": links, "defaults": {"streams": {}}})
-    daemon = Daemon(config, load_dialect(config.dialect))
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
-    copters = [Copter(daemon, sysid, lost) for sysid, lost in enumerate(deaf, 1)]
+    async with started(made_daemon(tmp_path, links=links, defaults={"streams": {}})) as daemon:
+        await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
+        copters = [Copter(daemon, sysid, lost) for sysid, lost in enumerate(deaf, 1)]
 
-    async def live() -> None:
-        while True:
-            for copter in copters:
-                copter.live()
-            await asyncio.sleep(0.05)
+        async def live() -> None:
+            while True:
+                for copter in copters:
+                    copter.live()
+                await asyncio.sleep(0.05)
 
-    living = asyncio.create_task(live())
-    try:
-        await until(lambda: len(daemon.fleet.vehicles) == len(copters))
-        yield daemon, copters
-    finally:
-        living.cancel()
-        await asyncio.gather(living, return_exceptions=True)
-        daemon.stop()
-        await running
-
-
-async def until(condition: Callable[[], object]) -> None:
-    for _ in range(2000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("never happened")
+        living = asyncio.create_task(live())
+        try:
+            await until(lambda: len(daemon.fleet.vehicles) == len(copters))
+            yield daemon, copters
+        finally:
+            living.cancel()
+            await asyncio.gather(living, return_exceptions=True)
 
 
 async def test_a_stop_lost_on_every_link_at_first_lands_every_vehicle_and_tells_of_each(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import structlog
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from support.asked import Asked, asked
+from support.examples import covered_by_other_flights
 from support.hosts import until
 from support.loops import on_every_loop
 
@@ -30,6 +31,7 @@ def chatter(gcs: Asked, number: int) -> bytes:
     return gcs.vehicle.pack(mav.MAVLink_statustext_message(6, b"something is wrong, number %d" % number))
 
 
+@covered_by_other_flights
 @pytest.mark.looptime
 async def test_flapping_and_chatter_are_bounded_and_the_newest_state_is_reported(tmp_path: Path) -> None:
     with structlog.testing.capture_logs() as logs:
@@ -54,6 +56,7 @@ async def test_flapping_and_chatter_are_bounded_and_the_newest_state_is_reported
     assert size / 10 < LOG_BYTES_PER_S, size
 
 
+@covered_by_other_flights
 @on_every_loop
 async def test_a_burst_of_texts_costs_a_few_events(tmp_path: Path) -> None:
     async with asked(tmp_path) as gcs:

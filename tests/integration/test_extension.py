@@ -23,7 +23,8 @@ from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, RpcError
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.client import connect
-from support.flown import flown
+from support.daemons import started
+from support.flown import aloft
 from support.send_gate import TimedGate
 
 PAGE = (Path(__file__).parents[2] / "docs/howto/extension.md").read_text()
@@ -67,13 +68,8 @@ async def running(folder: Path, table: str) -> AsyncIterator[Daemon]:
     path.write_text(FLEET + table)
     config, dialect = load_fleet_and_dialect(path)
     daemon = Daemon(config, dialect, source=str(path))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    try:
+    async with started(daemon):
         yield daemon
-    finally:
-        daemon.stop()
-        await task
 
 
 @pytest.mark.looptime
@@ -215,7 +211,7 @@ async def test_one_of_any_name_gates_what_is_sent_to_a_vehicle(
     how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("skygcs.daemon.find_owners", lambda names: (dict.fromkeys(names, Range), []))
-    async with flown(tmp_path, tables=RANGE) as gcs:
+    async with aloft(tmp_path, tables=RANGE) as gcs:
         gate: TimedGate = gcs.daemon.extensions["range"].gate
         await gcs.fly("position")
         began = gcs.now
@@ -248,7 +244,7 @@ async def test_a_flight_of_one_that_fails_refuses_what_would_change_it_and_is_a_
     def broken() -> bool:
         raise ValueError("broken")
 
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         locks, actor = gcs.daemon.fleet.locks, gcs.actor()
         flown_ = [(actor.vehicle, actor.config.control)]
         locks.take(locks.make(Holder.PLAN, "show", gcs.daemon.fleet.world.origin, flown_), broken)
@@ -276,6 +272,28 @@ async def test_a_daemon_does_not_start_without_a_gate_that_was_promised(
     config, dialect = load_fleet_and_dialect(path)
     with pytest.raises(ValueError, match="broken"):
         Daemon(config.model_copy(update={"extensions": {"range": Model()}}), dialect)
+
+
+@pytest.mark.looptime
+async def test_a_wait_for_the_end_of_one_that_is_cancelled_leaves_no_socket(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def ended(self: Range) -> None:
+        raise asyncio.CancelledError
+
+    monkeypatch.setattr(Range, "ended", ended)
+    monkeypatch.setattr("skygcs.daemon.find_owners", lambda names: (dict.fromkeys(names, Range), []))
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET)
+    config, dialect = load_fleet_and_dialect(path)
+    daemon = Daemon(config.model_copy(update={"extensions": {"range": Model()}}), dialect)
+    task = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    assert (tmp_path / "s").exists()
+    daemon.stop()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert not (tmp_path / "s").exists()
 
 
 def test_names_that_are_not_its_own_are_refused() -> None:

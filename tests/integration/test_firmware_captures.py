@@ -14,9 +14,10 @@ import pytest
 from pymavlink import mavutil
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig
-from skygcs.daemon import Daemon
+from skygcs.config.models import FleetConfig, ReplayLinkConfig
 from skygcs.tlog.reading import LogReader
+from support.daemons import made_daemon
+from support.examples import covered_by_other_flights
 from support.table import each
 
 DATA = Path(__file__).parents[1] / "data"
@@ -94,11 +95,10 @@ class Replayed:
 
 
 async def replay(name: str, tmp_path: Path) -> Replayed:
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
+    daemon = made_daemon(
+        tmp_path,
         links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
     found = Replayed()
     daemon.event_log.subscribe(found.events.append)
     running = asyncio.create_task(daemon.run())
@@ -122,6 +122,7 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
     return found
 
 
+@covered_by_other_flights
 @each("name", CUTS)
 def test_every_frame_is_read_as_pymavlink_reads_it(name: str) -> None:
     truth = Truth(name)
@@ -135,6 +136,7 @@ def test_every_frame_is_read_as_pymavlink_reads_it(name: str) -> None:
     assert set(Counter((f.sysid, f.compid) for f in frames)) == set(truth.sources)
 
 
+@covered_by_other_flights
 @pytest.mark.looptime
 @pytest.mark.parametrize("name", [cut for cut in CUTS if cut != "copter-forged-positions"])
 async def test_modes_are_those_of_the_heartbeats(name: str, tmp_path: Path) -> None:
@@ -154,6 +156,7 @@ async def test_telemetry_that_is_cut_twice_loses_the_vehicle_twice(tmp_path: Pat
     assert found.state[11]["armed"] is True
 
 
+@covered_by_other_flights
 @pytest.mark.looptime
 async def test_a_low_battery_is_seen_at_the_end(tmp_path: Path) -> None:
     found = await replay("px4-battery-low", tmp_path)
@@ -175,6 +178,7 @@ def test_signed_frames_are_counted_as_signed() -> None:
     assert sum(frame.signed for frame in frames) == truth.signed == truth.messages.total() > 600
 
 
+@covered_by_other_flights
 @pytest.mark.looptime
 async def test_a_companion_is_a_component_of_its_vehicle(tmp_path: Path) -> None:
     truth = Truth("copter-companion")
@@ -188,6 +192,7 @@ async def test_a_companion_is_a_component_of_its_vehicle(tmp_path: Path) -> None
     assert found.state[21]["autopilot"] == "ardupilot" and found.state[21]["type"] == "QUADROTOR"
 
 
+@covered_by_other_flights
 @pytest.mark.looptime
 async def test_what_a_radio_lost_is_counted_as_pymavlink_counts_it(tmp_path: Path) -> None:
     truth = Truth("copter-radio-flight")

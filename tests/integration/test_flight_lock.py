@@ -12,6 +12,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
 
@@ -72,6 +73,7 @@ async def origins_are_refused(gcs: Flown) -> None:
     assert (await gcs("origin.set", **now))["origin"] == now
 
 
+@covered_by_other_flights
 @KINDS
 async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False, conditions=WIND) as gcs:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -14,6 +15,7 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 
 
+@covered_by_other_flights
 @KINDS
 async def test_nobody_is_sent_to_the_place_of_one_that_is_silent(tmp_path: Path, kind: dict[str, int]) -> None:
     """At 10 s of silence a goto to its place was accepted: true separation 0.00 m."""

@@ -11,15 +11,16 @@ from typing import Any
 from prometheus_client.parser import text_string_to_metric_families
 
 from skygcs.config.control import ControlSettings
-from skygcs.config.dialects import load_dialect
 from skygcs.config.metrics import MetricsConfig
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, VehicleSettings
+from skygcs.config.models import MemoryLinkConfig, VehicleSettings
 from skygcs.daemon import Daemon
 from skygcs.ext.metrics import Metrics
 from skygcs.ext.metrics.collector import MetricsCollector
 from skygcs.ext.metrics.table import METRICS
-from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
+from support.daemons import made_daemon, memory_link, started
+from support.examples import covered_by_other_flights
+from support.hosts import until
 from support.routed import heartbeat
 
 PER_VEHICLE = 11
@@ -46,20 +47,15 @@ class Scrape:
 
 @contextlib.asynccontextmanager
 async def running(tmp_path: Path, **keys: Any) -> AsyncIterator[Daemon]:
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs"),
+    daemon = made_daemon(
+        tmp_path,
+        daemon={"record": True},
         extensions={"metrics": MetricsConfig(port=0)},
         links={"radio": MemoryLinkConfig(name="radio", role="vehicle")},
         **keys,
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    try:
+    async with started(daemon):
         yield daemon
-    finally:
-        daemon.stop()
-        await task
 
 
 async def scrape(daemon: Daemon) -> Scrape:
@@ -78,17 +74,7 @@ async def scrape(daemon: Daemon) -> Scrape:
 
 
 def peer_of(daemon: Daemon) -> Any:
-    link = daemon.links.link("radio")
-    assert isinstance(link, MemoryLink)
-    return link.peer
-
-
-async def until(condition: Any) -> None:
-    for _ in range(1000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("never happened")
+    return memory_link(daemon, "radio").peer
 
 
 async def test_the_numbers_are_those_of_the_daemon(tmp_path: Path) -> None:
@@ -132,6 +118,7 @@ async def test_counters_of_a_link_survive_its_channels(tmp_path: Path) -> None:
         assert after("link_received_frames_total", link="radio") == 2
 
 
+@covered_by_other_flights
 async def test_series_of_250_vehicles_are_bounded_and_each_turn_of_the_loop_is_short(tmp_path: Path) -> None:
     async with running(tmp_path) as daemon:
         peer = peer_of(daemon)

@@ -154,7 +154,10 @@ async def test_an_upload_over_a_link_that_loses_a_fifth_each_way_is_exact(tmp_pa
         back = await held(gcs, name)
         for kind in MissionType:
             assert back.items(kind) == wanted.items(kind)
-        await gcs.done("missions.start", targets=name)
+        for _ in range(5):  # what sets the current item is not repeated by itself: a person orders it again
+            if (outcome := await gcs.outcome("missions.start", targets=name))["ok"]:
+                break
+        assert outcome["ok"], outcome
         await gcs.until(lambda: gcs.place(name)[1] > 25, 90.0)
 
 

@@ -16,7 +16,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.sim.firmware_modes import CopterMode
+from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, flown
+from support.sim_pilot import int_param
+
+COSTS = "missions of two and three vehicles, each flown from the ground to its landing"
 
 pytestmark = pytest.mark.looptime
 
@@ -42,6 +47,12 @@ def mission(*points: tuple[float, float, float], end: str = "return") -> str:
 NORTH = ((0.0, 0.0, 10.0), (0.0, 25.0, 10.0), (0.0, 45.0, 10.0))
 """Along the north axis, from the place of v1; the others stand 5 m apart to the east."""
 
+NEAR = ((0.0, 0.0, 6.0), (0.0, 10.0, 6.0), (0.0, 20.0, 6.0))
+"""The same, a short one, for those that fly one after another."""
+
+LOW: dict[str, float] = {"RTL_RETURN_ALT": 8.0, "RTL_ALT": 800.0}
+"""Heights at which both firmwares return, so that a turn does not take a minute to come down."""
+
 
 def nearest_m(gcs: Flown) -> float:
     """The least distance of two vehicles in the air, by the simulator's truth, heights divided by two."""
@@ -64,9 +75,10 @@ async def turn(gcs: Flown, name: str) -> dict[str, Any] | None:
     return found
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("kind", [{"px4": 3}, {"px4": 0, "ardupilot": 3}], ids=["px4", "ardupilot"])
 async def test_the_present_formation_is_kept_on_one_mission_for_all(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, takeoff=False, **kind) as gcs:
+    async with flown(tmp_path, takeoff=False, params=LOW, **kind) as gcs:
         plan = mission(*NORTH)
         await gcs.done("missions.upload", targets="all", plan=plan, arrangement={"kind": "present"})
         await gcs.done("missions.start", targets="all")
@@ -105,6 +117,7 @@ async def test_missions_that_come_too_near_are_refused_and_go_up_when_insisted_o
         assert refused["result"] == "refused" and "near v1" in refused["message"]
 
 
+@covered_by_other_flights
 async def test_each_next_vehicle_flies_so_much_higher(tmp_path: Path) -> None:
     """Over places that none of them took off from: their ways up and down are beside each other."""
     async with flown(tmp_path, px4=2, ardupilot=1, takeoff=False) as gcs:
@@ -145,8 +158,8 @@ async def test_a_vehicle_without_a_mission_to_arrange_is_refused_in_words(tmp_pa
 async def test_one_after_another_each_starts_when_the_one_before_has_landed(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    async with flown(tmp_path, takeoff=False, **kind) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+    async with flown(tmp_path, takeoff=False, params=LOW, **kind) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
         outcomes = (await gcs("missions.start", targets="all", one_after_another=True))["outcomes"]
         assert all(outcome["ok"] for outcome in outcomes.values()), outcomes
         assert outcomes["v2"]["message"] == "starts when v1 is done or has landed"
@@ -157,28 +170,29 @@ async def test_one_after_another_each_starts_when_the_one_before_has_landed(
             assert sum(sim.armed for sim in gcs.sims) == 1
         await landed(gcs, "v3")
         for truth in gcs.truth.values():
-            assert max(look.pos_m[1] for look in truth) > 40.0, "each has flown it"
+            assert max(look.pos_m[1] for look in truth) > 18.0, "each has flown it"
         together = [looks for looks in zip(*gcs.truth.values(), strict=False) if sum(not t.landed for t in looks) > 1]
         assert not together
         assert await turn(gcs, "v3") is None
 
 
 async def test_the_next_one_starts_when_the_one_before_holds_at_its_end_out_of_the_way(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="v1", plan=mission(*NORTH, end="hold"))
-        away = mission((5.0, 0.0, 10.0), (30.0, 0.0, 10.0), end="hold")
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NEAR, end="hold"))
+        away = mission((5.0, 0.0, 6.0), (30.0, 0.0, 6.0), end="hold")
         await gcs.done("missions.upload", targets="v2", plan=away)
         await gcs.done("missions.start", targets="all", one_after_another=True)
         await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
-        assert gcs.place("v1")[1] > 42.0 and gcs.sim("v1").armed
+        assert gcs.place("v1")[1] > 17.0 and gcs.sim("v1").armed
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("order", ["vehicles.stop", "missions.pause", "vehicles.rtl"])
 async def test_nobody_starts_after_an_order_to_the_one_that_flies(tmp_path: Path, order: str) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
         await gcs(order, targets="v1")
         await gcs.done("vehicles.land", targets="v1")
         await landed(gcs, "v1")
@@ -188,14 +202,40 @@ async def test_nobody_starts_after_an_order_to_the_one_that_flies(tmp_path: Path
         assert len(ended) == 1 and "v2 does not start" in ended[0].text, ended
 
 
+async def test_nobody_starts_after_this_computer_has_slept(tmp_path: Path) -> None:
+    """The one that flew had been dropped, looked connected for ever, and its mission looked complete."""
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
+        before, known = gcs.actor("v1"), gcs.daemon.fleet.sleep.slept_s()
+        loop = asyncio.get_running_loop()
+        gcs.daemon.fleet.sleep.slept_s = lambda: known + 3600.0
+        gcs.daemon.fleet.sleep.clock = lambda: loop.time() + 3600.0
+        await asyncio.sleep(5.0)
+        assert gcs.actor("v1") is not before and gcs.actor("v1").vehicle.connected
+        assert not before.vehicle.connected
+        assert await turn(gcs, "v2") is None
+        ended = [t for t in gcs.told if t.kind == "mission" and "ended" in t.data]
+        assert len(ended) == 1 and "slept for 3600 s; v2 does not start" in ended[0].text, ended
+        assert (await before.land()).result == "refused"
+        stopped = await before.stop("kill")
+        assert stopped.result == "refused" and "slept for 3600 s" in stopped.message, "a stop asked of what was before"
+        await gcs.done("vehicles.land", targets="v1")
+        await landed(gcs, "v1")
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
+
+
+@covered_by_other_flights
 @pytest.mark.parametrize(("px4", "mode"), [(2, "AUTO.LAND"), (0, "LAND")], ids=["px4", "ardupilot"])
 async def test_nobody_starts_after_another_station_has_landed_the_one_that_flies(
     tmp_path: Path, px4: int, mode: str
 ) -> None:
-    async with flown(tmp_path, px4=px4, ardupilot=2 - px4, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+    async with flown(tmp_path, px4=px4, ardupilot=2 - px4, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
         gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0))
         await landed(gcs, "v1")
         await asyncio.sleep(20.0)
@@ -210,10 +250,10 @@ async def test_nobody_starts_after_the_one_that_flies_has_fallen_on_its_last_way
     tmp_path: Path, px4: int, how: str
 ) -> None:
     """It is on the ground and disarmed by its last item, and counted as landed."""
-    async with flown(tmp_path, px4=px4, ardupilot=2 - px4, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH, end="land"))
+    async with flown(tmp_path, px4=px4, ardupilot=2 - px4, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR, end="land"))
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[1] > 43.0 and gcs.place("v1")[2] < 9.0, 120.0)
+        await gcs.until(lambda: gcs.place("v1")[1] > 18.0 and gcs.place("v1")[2] < 5.0, 120.0)
         if how == "switched off":
             gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
         else:
@@ -230,11 +270,11 @@ async def test_nobody_starts_after_the_one_that_flies_has_fallen_on_its_last_way
 
 async def test_the_next_one_starts_though_the_ground_lies_above_home(tmp_path: Path) -> None:
     """An ArduCopter keeps home until it is armed: 6 m above it a disarmed one counted as flying, without end."""
-    async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="v1", plan=mission(*NORTH, end="land"))
-        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 10.0), (30.0, 0.0, 10.0), end="hold"))
+    async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NEAR, end="land"))
+        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 6.0), (30.0, 0.0, 6.0), end="hold"))
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[1] > 43.0 and gcs.place("v1")[2] < 9.0, 120.0)
+        await gcs.until(lambda: gcs.place("v1")[1] > 18.0 and gcs.place("v1")[2] < 5.0, 120.0)
         home = gcs.sim("v1").home
         assert home is not None
         gcs.sim("v1").set_home(replace(home, up_m=home.up_m - 6.0))
@@ -243,10 +283,10 @@ async def test_the_next_one_starts_though_the_ground_lies_above_home(tmp_path: P
 
 
 async def test_without_evidence_of_a_landing_nobody_starts_and_an_event_says_why(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH, end="land"))
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR, end="land"))
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[1] > 43.0 and gcs.place("v1")[2] < 9.0, 120.0)
+        await gcs.until(lambda: gcs.place("v1")[1] > 18.0 and gcs.place("v1")[2] < 5.0, 120.0)
         sim = gcs.sim("v1")
         sim.builders = {name: build for name, build in sim.builders.items() if name != "ATTITUDE"}
         await landed(gcs, "v1")
@@ -256,27 +296,29 @@ async def test_without_evidence_of_a_landing_nobody_starts_and_an_event_says_why
         assert "no attitude has come since it was disarmed" in ended and "v2 does not start" in ended
 
 
+@covered_by_other_flights
 async def test_the_same_order_given_again_waits_for_the_first_one_again(tmp_path: Path) -> None:
     """It held at the end of the flight before, which counted as that of the new one."""
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="v1", plan=mission(*NORTH, end="hold"))
-        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 10.0), (30.0, 0.0, 10.0), end="hold"))
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NEAR, end="hold"))
+        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 6.0), (30.0, 0.0, 6.0), end="hold"))
         await gcs.done("missions.start", targets="v1")
-        await gcs.until(lambda: gcs.place("v1")[1] > 44.0, 60.0)
+        await gcs.until(lambda: gcs.place("v1")[1] > 19.0, 60.0)
         await asyncio.sleep(5.0)
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[1] < 20.0 or gcs.sim("v2").armed, 60.0)
+        await gcs.until(lambda: gcs.place("v1")[1] < 8.0 or gcs.sim("v2").armed, 60.0)
         assert not gcs.sim("v2").armed
         await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
-        assert gcs.place("v1")[1] > 42.0
+        assert gcs.place("v1")[1] > 17.0
 
 
+@covered_by_other_flights
 async def test_stop_to_all_ends_the_turns_in_the_moment_between_two_of_them(tmp_path: Path) -> None:
     """The first one is down and disarmed, so that STOP moves nobody."""
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
         await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
         await gcs.until(lambda: gcs.actor("v1").vehicle.armed is False, 240.0)
         await gcs("vehicles.stop", targets="all")
         await asyncio.sleep(20.0)
@@ -284,16 +326,17 @@ async def test_stop_to_all_ends_the_turns_in_the_moment_between_two_of_them(tmp_
 
 
 async def test_nobody_starts_after_the_one_that_flies_is_lost_or_the_turns_are_ended(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
         await gcs.done("missions.start", targets="all", one_after_another=True)
         second = gcs("missions.start", targets="all", one_after_another=True)
         with pytest.raises(Exception, match="one after another; end that first"):
             await second
-        await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
         gcs.muted.add(1)
-        await asyncio.sleep(120.0)
-        assert not gcs.sim("v2").armed and any("v1 is not heard" in t.text for t in gcs.told)
+        await gcs.until(lambda: any("v1 is not heard" in t.text for t in gcs.told), 120.0)
+        await asyncio.sleep(20.0)
+        assert not gcs.sim("v2").armed
         assert await gcs("missions.end_turns") == {"ended": False}
         gcs.muted.clear()
         await landed(gcs, "v1")
@@ -306,9 +349,9 @@ async def test_nobody_starts_after_the_one_that_flies_is_lost_or_the_turns_are_e
 
 
 async def test_a_refused_start_ends_the_turns_before_anything_flies(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
         gcs.sim("v1").faults.refuse_arming = "not today"
-        await gcs.done("missions.upload", targets="all", plan=mission(*NORTH))
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
         outcomes = (await gcs("missions.start", targets="all", one_after_another=True))["outcomes"]
         assert not outcomes["v1"]["ok"] and outcomes["v2"]["result"] == "refused", outcomes
         await asyncio.sleep(20.0)
@@ -351,3 +394,47 @@ async def test_rovers_take_turns_though_they_stand_armed_after_their_return(tmp_
         assert not second.armed
         await gcs.until(lambda: second.armed, 180.0)
         assert first.armed and first.motion.pos_enu_m[1] < 6.0
+
+
+async def test_the_next_one_starts_when_a_return_that_began_above_its_home_has_ended_there(tmp_path: Path) -> None:
+    """A PX4 whose last waypoint is above its home stood there as its return began, and the next one started into the
+    space in which it then climbed, and came down again."""
+    params = {"RTL_LAND_DELAY": -1.0, "RTL_RETURN_ALT": 25.0, "RTL_CONE_ANG": int_param(0), "RTL_DESCEND_ALT": 12.0}
+    async with flown(tmp_path, px4=2, takeoff=False, params=params) as gcs:
+        lat, lon = FIELD.to_geodetic(0.0, 0.0)
+        above_home = MissionItem.from_params(16, 3, (3.0, 0.0, 0.0, None, lat, lon, 6.0), True)
+        items = (item(22, *NEAR[0]), item(16, *NEAR[1]), above_home, MissionItem.from_params(20, 2, (0.0,) * 7, True))
+        plan = write_qgc(MissionPlan(items))
+        await gcs.done("missions.upload", targets="all", plan=plan, arrangement={"kind": "present"})
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: any("with item 4" in text for text in gcs.texts(0.0, "mission")), 120.0)
+        assert abs(gcs.place("v1")[2] - 6.0) < 1.0 and math.hypot(*gcs.place("v1")[:2]) < 1.0, "it is above its home"
+        await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
+        looks = [look.pos_m[2] for look in gcs.truth[1]]
+        assert max(looks) > 24.0 and abs(looks[-1] - 12.0) < 0.5, "it has climbed, and holds at RTL_DESCEND_ALT"
+
+
+async def test_one_that_waits_and_that_its_pilot_takes_ends_the_turns(tmp_path: Path) -> None:
+    """Its mission began when its turn came, minutes after he had taken it."""
+    async with flown(tmp_path, px4=0, ardupilot=2) as gcs:
+        await gcs.done("missions.upload", targets="v1", plan=mission(*NEAR, end=""))
+        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 10.0), (5.0, 15.0, 10.0), end=""))
+        await gcs.done("missions.start", targets="all", one_after_another=True, force=True)
+        gcs.other_sets_mode(CopterMode.LOITER, sysid=2)
+        await gcs.until(lambda: gcs.actor("v1").missions.complete, 120.0)
+        await asyncio.sleep(10.0)
+        assert gcs.actor("v2").vehicle.mode == "LOITER"
+        texts = gcs.texts(0.0, "mission")
+        assert any("v2: it was switched to LOITER since, which its pilot flies" in text for text in texts), texts
+
+
+async def test_an_order_that_is_refused_ends_no_turns(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
+        await gcs.done("missions.start", targets="all", one_after_another=True)
+        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
+        for name in ("v1", "v2"):
+            gcs.sim(name).faults.refuse_mode = "not now"
+            assert not (await gcs.outcome("vehicles.mode", targets=name, mode="AUTO.LOITER"))["ok"]
+            gcs.sim(name).faults.refuse_mode = ""
+        await gcs.until(lambda: gcs.sim("v2").armed, 240.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,12 +23,15 @@ from skygcs.ext.mocap.cameras import CaptureCameras
 from skygcs.ext.mocap.config import MocapConfig
 from skygcs.ext.mocap.pose import Pose
 from skygcs.ext.mocap.simulated_capture import SimulatedCapture
-from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.context import state_of
 from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.error_codes import METHOD_NOT_FOUND
 from skygcs.rpc.methods import METHODS
+from skygcs.rpc.methods_on_demand import MethodsOnDemand
+from skygcs.runtime.loop_clock import Standstill
 from skygcs.sim.vehicle import SimVehicle
+from support.daemons import simulated_link, started
+from support.examples import covered_by_other_flights
 from support.extension_parts import ALL_METHODS
 from support.pymav import PymavPeer
 
@@ -66,8 +69,7 @@ class Lab:
         return capture.cameras
 
     def sim(self, link: str = "alpha") -> SimVehicle:
-        found = self.daemon.links.link(link)
-        assert isinstance(found, SimulatedVehiclesLink)
+        found = simulated_link(self.daemon, link)
         return found.vehicles[0]
 
     async def poses(self, vehicle: str = "alpha") -> dict[str, Any]:
@@ -124,15 +126,10 @@ async def lab(
     daemon = Daemon(config, load_dialect(config.dialect))
     there = Lab(daemon)
     daemon.event_log.subscribe(there.events.append)
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    try:
+    async with started(daemon):
         await there.until(lambda: len(daemon.fleet.vehicles) == len(families))
         yield there
         assert not [e for e in there.events if e["kind"] == "fault"], there.events
-    finally:
-        daemon.stop()
-        await running
 
 
 @pytest.mark.parametrize("family", ["px4", "ardupilot"])
@@ -165,6 +162,25 @@ async def test_a_vehicle_without_gps_flies_by_its_poses(tmp_path: Path, family: 
         assert poses["latency_p50_s"] == pytest.approx(0.02, abs=0.011)
 
 
+async def test_poses_go_on_after_a_standstill_over_the_link_as_it_is_then(tmp_path: Path) -> None:
+    async with lab(tmp_path, "px4") as gcs:
+        sim, fleet = gcs.sim(), gcs.daemon.fleet
+        await gcs.until(lambda: sim.position_ok)
+        await asyncio.sleep(10)
+        assert (await gcs("vehicles.takeoff", targets="alpha", height_m=2.0))["outcomes"]["alpha"]["ok"]
+        await gcs.until(lambda: sim.motion.up_m > 1.8)
+        feed = gcs.daemon.extensions["mocap"].feed
+        (fed,) = feed._fed.values()
+        before = fed.actor
+        fleet._woke(Standstill(10.0, slept=False))
+        await gcs.until(lambda: fleet.find("alpha").vehicle.connected)
+        await asyncio.sleep(5)
+        assert fed.actor is fleet.find("alpha") is not before
+        fed.way.channel_id = None  # as after a link that was made anew
+        await asyncio.sleep(5)
+        assert fed.channel is not None and sim.vision.rejected == 0 and sim.position_ok
+
+
 async def test_time_stamps_are_those_of_the_capture(tmp_path: Path) -> None:
     async with lab(tmp_path, "ardupilot", latency_s=0.05, simulated={"latency_s": 0.1}) as gcs:
         await asyncio.sleep(5)
@@ -187,6 +203,7 @@ async def test_what_cameras_do_wrong_is_never_sent(tmp_path: Path, family: str) 
         assert gcs.sim().vision.count == poses["sent"]
 
 
+@covered_by_other_flights
 async def test_when_poses_stop_sending_stops_and_the_autopilot_lands(tmp_path: Path) -> None:
     async with lab(tmp_path, "px4") as gcs:
         sim = gcs.sim()
@@ -255,6 +272,7 @@ async def test_a_px4_whose_origin_is_not_at_altitude_zero_gets_no_poses(
             assert "altitude of 180.0 m" in problem and "alt_amsl_m = 0" in problem and verdict == "fail"
 
 
+@covered_by_other_flights
 async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,6 +290,7 @@ async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(
         assert "recording" in (await gcs.poses())["problem"]
 
 
+@covered_by_other_flights
 async def test_each_vehicle_gets_its_own_poses(tmp_path: Path) -> None:
     async with lab(tmp_path, "px4", "ardupilot") as gcs:
         await asyncio.sleep(20)
@@ -321,9 +340,11 @@ async def test_a_daemon_without_mocap_says_so(tmp_path: Path) -> None:
     config = FleetConfig.model_validate({"daemon": {"socket": tmp_path / "s", "record": False}})
     daemon = Daemon(config, load_dialect(config.dialect))
     request = {"jsonrpc": "2.0", "id": 1, "method": "mocap.status"}
-    reply = Dispatcher(METHODS).start(SimpleNamespace(services=daemon), request)
-    assert isinstance(reply, bytes)
-    error = json.loads(reply)["error"]
+    table = METHODS.table()
+    on_demand = MethodsOnDemand(table, daemon.extensions, asyncio.to_thread, asyncio.get_running_loop())
+    reply = Dispatcher(table, on_demand).start(SimpleNamespace(services=daemon), request)
+    assert isinstance(reply, Coroutine)
+    error = json.loads(await reply)["error"]
     assert error["code"] == METHOD_NOT_FOUND and "table in the fleet file, as [mocap]" in error["message"]
 
 

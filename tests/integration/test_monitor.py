@@ -12,15 +12,15 @@ import pytest
 
 from skygcs.sim.conditions import Conditions, Dynamics
 from support.encounters import KINDS, arena, encounter, judge
-from support.flown import Flown, flown
-
-COSTS = "whole daemons with two to six vehicles that meet"
+from support.examples import covered_by_other_flights
+from support.flown import Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
 
 EXACT = Conditions(dynamics=Dynamics.KINEMATIC)
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("seed", range(len(KINDS)), ids=KINDS)
 async def test_encounters_are_warned_of_in_time_and_a_hold_prevents_the_collision(seed: int, tmp_path: Path) -> None:
     (judged,) = await judge([seed], tmp_path)
@@ -36,7 +36,7 @@ def refused_for(outcomes: dict[str, Any], name: str, other: str) -> bool:
 
 
 async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insisted_on(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, ardupilot=1, conditions=EXACT) as gcs:
+    async with aloft(tmp_path, px4=2, ardupilot=1, conditions=EXACT) as gcs:
         at = gcs.actor("v2").vehicle.enu_m()
         assert at is not None
         # to its place, through it, and above it within the downwash; beside it and high above it are free
@@ -58,7 +58,7 @@ async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insi
 
 
 async def test_a_formation_that_moves_into_its_own_places_is_not_refused(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=3, conditions=EXACT) as gcs:
+    async with aloft(tmp_path, px4=3, conditions=EXACT) as gcs:
         before = [gcs.actor(f"v{i}").vehicle.enu_m() for i in (1, 2, 3)]
         middle = before[1]
         assert middle is not None
@@ -67,6 +67,7 @@ async def test_a_formation_that_moves_into_its_own_places_is_not_refused(tmp_pat
         assert [t.text for t in gcs.told if t.kind == "separation" and t.data.get("level") != "notice"] == []
 
 
+@covered_by_other_flights
 async def test_a_parked_vehicle_is_an_obstacle_for_takeoff_and_goto_and_no_alarm_beside_another(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
         home = gcs.place_of_home("v2")
@@ -84,7 +85,7 @@ async def test_a_parked_vehicle_is_an_obstacle_for_takeoff_and_goto_and_no_alarm
 
 
 async def test_a_setpoint_into_another_vehicle_is_refused_and_one_away_from_it_taken(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
         await gcs.fly("position")
         at = gcs.actor("v2").vehicle.enu_m()
         assert at is not None
@@ -98,8 +99,12 @@ async def test_a_setpoint_into_another_vehicle_is_refused_and_one_away_from_it_t
         await gcs.done("control.setpoint", targets="v1", pos_enu_m=at, force=True)
 
 
+@covered_by_other_flights
 async def test_off_watches_nothing_and_refuses_nothing(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "off"}}) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "off"}}) as gcs:
+        await ready_on(gcs, "v1", 10.0, 12.0)
+        await gcs.done("trajectory.start", targets="v1")
+        await gcs.done("vehicles.hold", targets="v1")
         at = gcs.actor("v2").vehicle.enu_m()
         await gcs.done("vehicles.goto", targets="v1", enu_m=at)
         await asyncio.sleep(10)
@@ -109,7 +114,7 @@ async def test_off_watches_nothing_and_refuses_nothing(tmp_path: Path) -> None:
 
 
 async def test_without_an_origin_of_the_fleet_it_watches_as_well(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
         gcs.daemon.fleet.set_origin(None, force=True)
         there = gcs.sim("v2").true_position()
         order = {"targets": "v1", "lat_deg": there[0], "lon_deg": there[1]}
@@ -137,7 +142,7 @@ async def test_an_operator_who_orders_on_after_a_hold_is_obeyed(tmp_path: Path) 
 
 
 async def test_shutdown_in_the_middle_of_a_hold_ends_in_order(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "acting"}}) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "acting"}}) as gcs:
         at = gcs.actor("v2").vehicle.enu_m()
         assert at is not None
         gcs.uplink_delay_s = 1.0
@@ -169,10 +174,11 @@ async def ready_on(gcs: Flown, name: str, by_m: float, seconds: float) -> None:
     assert answer["outcomes"][name]["ok"], answer
 
 
+@covered_by_other_flights
 async def test_a_trajectory_into_a_vehicle_that_stands_or_is_parked_is_refused_unless_insisted_on(
     tmp_path: Path,
 ) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         await ready_on(gcs, "v1", 10.0, 12.0)
         outcome = await gcs.outcome("trajectory.start", "v1")
         assert not outcome["ok"] and "v1 would come 0.0 m near v2 (in the air) in " in outcome["message"]
@@ -184,8 +190,9 @@ async def test_a_trajectory_into_a_vehicle_that_stands_or_is_parked_is_refused_u
         assert abs(gcs.place("v1")[0] - 10.0) < 0.5
 
 
+@covered_by_other_flights
 async def test_trajectories_that_meet_later_are_refused_whether_one_flies_already_or_not(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         apart_m = gcs.place("v2")[0] - gcs.place("v1")[0]
         await ready_on(gcs, "v1", 20.0, 60.0)
         await ready_on(gcs, "v2", 21.0 - apart_m, 60.0)
@@ -200,7 +207,7 @@ async def test_trajectories_that_meet_later_are_refused_whether_one_flies_alread
 
 
 async def test_two_starts_at_once_are_checked_one_after_the_other(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         await ready_on(gcs, "v1", 2.0, 5.0)
         await ready_on(gcs, "v2", -2.0, 5.0)
         answers = await asyncio.gather(*(gcs.outcome("trajectory.start", name) for name in ("v1", "v2")))
@@ -208,15 +215,9 @@ async def test_two_starts_at_once_are_checked_one_after_the_other(tmp_path: Path
         assert "near v1 (on its trajectory)" in answers[1]["message"]
 
 
-async def test_without_the_monitor_no_trajectory_is_checked(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, tables={"monitor": {"mode": "off"}}) as gcs:
-        await ready_on(gcs, "v1", 10.0, 12.0)
-        await gcs.done("trajectory.start", targets="v1")
-
-
 @pytest.mark.parametrize("known", [True, False], ids=["moved", "removed"])
 async def test_a_change_of_origin_in_mid_conflict_changes_no_level_and_no_distance(tmp_path: Path, known: bool) -> None:
-    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
         there = gcs.sim("v2").true_position()
         await gcs.done("vehicles.goto", targets="v1", lat_deg=there[0], lon_deg=there[1], force=True)
         await gcs.until(lambda: levels(gcs)[-1:] == ["action"], 10.0)

@@ -12,14 +12,13 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig
+from skygcs.config.models import SimulatedLinkConfig
 from skygcs.daemon import Daemon
-from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.client import Client, connect
 from skygcs.sim import onboard_logs as sim
 from skygcs.sim.vehicle import SimVehicle
-from support.hosts import open_descriptors
+from support.daemons import made_daemon, simulated_link, started
+from support.hosts import open_descriptors, until
 from support.virtual_asyncio import stuck_threads
 
 pytestmark = pytest.mark.looptime
@@ -32,8 +31,7 @@ class Lab:
         self.folder = folder / "logs" / "onboard"
 
     def sim(self, name: str) -> SimVehicle:
-        link = self.daemon.links.link("sim")
-        assert isinstance(link, SimulatedVehiclesLink)
+        link = simulated_link(self.daemon, "sim")
         return next(v for v in link.vehicles if f"v{v.sysid}" == name)
 
     async def get(self, targets: str, logs: Any = "latest", **more: Any) -> dict[str, Any]:
@@ -53,28 +51,15 @@ def content(file: dict[str, Any]) -> bytes:
 @contextlib.asynccontextmanager
 async def running(tmp_path: Path, **link: Any) -> AsyncIterator[Lab]:
     """v1 is a PX4, v2 an ArduCopter."""
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs"),
+    daemon = made_daemon(
+        tmp_path,
+        daemon={"record": True},
         links={"sim": SimulatedLinkConfig(name="sim", px4=1, ardupilot=1, dynamics="kinematic", **link)},
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: len(daemon.fleet.vehicles) == 2)
-    try:
+    async with started(daemon):
+        await until(lambda: len(daemon.fleet.vehicles) == 2)
         async with connect(tmp_path / "s") as gcs:
             yield Lab(daemon, gcs, tmp_path)
-    finally:
-        daemon.stop()
-        await task
-
-
-async def until(condition: Any) -> None:
-    for _ in range(3000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("never happened")
 
 
 async def test_logs_of_both_firmwares_arrive_byte_for_byte_at_the_same_time(tmp_path: Path) -> None:

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig
+from skygcs.config.models import SimulatedLinkConfig
 from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from_enu
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
-from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.vehicle import SimVehicle
 from support.called import call
+from support.daemons import made_daemon, simulated_link, started
+from support.examples import covered_by_other_flights
 
 pytestmark = pytest.mark.looptime
 
@@ -44,13 +44,20 @@ class Asker:
 class Flight(Asker):
     @property
     def vehicles(self) -> list[SimVehicle]:
-        link = self.daemon.links.link("air")
-        assert isinstance(link, SimulatedVehiclesLink)
+        link = simulated_link(self.daemon, "air")
         return link.vehicles
 
     def truth(self) -> list[tuple[float, float, float]]:
         """East, north, up of each from where it was powered on, as the simulator knows it, whatever anybody's frame."""
         return [(v.motion.east_m, v.motion.north_m, v.motion.up_m) for v in self.vehicles]
+
+    async def at_height(self, height_m: float) -> None:
+        """Until all are there."""
+        for _ in range(100):
+            if all(up_m > height_m for _, _, up_m in self.truth()):
+                return
+            await asyncio.sleep(0.3)
+        raise AssertionError("they never climbed so high")
 
     def on_earth(self, number: int) -> tuple[float, float, float]:
         vehicle = self.vehicles[number]
@@ -61,53 +68,77 @@ class Flight(Asker):
 @contextlib.asynccontextmanager
 async def flight(tmp_path: Path) -> AsyncIterator[Flight]:
     """Two PX4s and an ArduCopter, 10 m up and holding."""
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", record=False),
-        links={"air": SimulatedLinkConfig(name="air", px4=2, ardupilot=1)},
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await asyncio.sleep(3)
-    gcs = Flight(daemon)
-    try:
+    daemon = made_daemon(tmp_path, links={"air": SimulatedLinkConfig(name="air", px4=2, ardupilot=1)})
+    async with started(daemon):
+        await asyncio.sleep(3)
+        gcs = Flight(daemon)
         await gcs.done("vehicles.arm", targets="all", wait_s=90.0)
         await gcs.done("vehicles.takeoff", targets="all", height_m=10.0, wait_s=60.0)
-        await asyncio.sleep(25)
+        await gcs.at_height(9.5)
+        await asyncio.sleep(4)
         await gcs.done("vehicles.hold", targets="all")
-        await asyncio.sleep(10)
+        await asyncio.sleep(4)
         yield gcs
-    finally:
-        daemon.stop()
-        await task
 
 
-async def test_a_new_origin_is_everybodys_at_once_and_moves_nobody(tmp_path: Path) -> None:
+async def test_an_origin_is_everybodys_at_once_moves_nobody_and_is_that_of_this_site(tmp_path: Path) -> None:
+    elsewhere = {"lat_deg": 47.4, "lon_deg": 8.5, "alt_amsl_m": 480.0}
     async with flight(tmp_path) as gcs:
-        assert all(s["position"]["enu_m"] is None for s in await gcs("vehicles.list"))
+        # without one: heights above the take-off are known to the daemon that saw it, and there is none to send
+        for state in await gcs("vehicles.list"):
+            assert state["position"]["enu_m"] is None
+            assert state["position"]["alt_takeoff_m"] == pytest.approx(10.0, abs=HOLDING_M)
+        with pytest.raises(RefusedError, match="no origin to send"):
+            await gcs("origin.push", targets="all")
+        with pytest.raises(RefusedError, match=r"km from v\d.*force"):
+            await gcs("origin.set", **elsewhere)
+        assert (await gcs("origin.get"))["origin"] is None
         await gcs("origin.from_vehicle", target="1", heading=True)
+        await told_to_armed_vehicles(gcs)
         for heading_deg, north_m in ((90.0, 0.0), (150.0, 400.0), (275.5, -3000.0)):
-            before = gcs.truth()
-            status = await gcs("origin.get")
-            here = Origin(**status["origin"])
-            lat, lon, _ = geodetic_from_enu(50.0, north_m, 0.0, Origin(here.lat_deg, here.lon_deg, here.alt_amsl_m))
-            new = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": 170.0, "x_heading_deg": heading_deg}
-            reported = await gcs("origin.set", **new)
-            assert reported == {"origin": new, "generation": status["generation"] + 1}
-            states = await gcs("vehicles.list")
-            for position in (s["position"] for s in states):
-                seen = enu_from_geodetic(
-                    position["lat_deg"], position["lon_deg"], position["alt_amsl_m"], Origin(**new)
-                )
-                assert position["enu_m"] == pytest.approx(seen, abs=0.002)
-                assert position["origin_generation"] == reported["generation"]
-            event = next(e for e in reversed(gcs.daemon.event_log.recent) if e["kind"] == "origin")
-            assert (event["data"]["old"], event["data"]["new"]) == (status["origin"], new)
-            await asyncio.sleep(10)
-            for was, now in zip(before, gcs.truth(), strict=True):
-                assert math.dist(was, now) < HOLDING_M
+            await changed(gcs, heading_deg, north_m)
+        generation = (await gcs("origin.get"))["generation"]
+        assert (await gcs("origin.set", **elsewhere, force=True))["generation"] == generation + 1
 
 
+async def changed(gcs: Flight, heading_deg: float, north_m: float) -> None:
+    """To another origin: seen in every state and in an event, and nobody moves."""
+    before = gcs.truth()
+    status = await gcs("origin.get")
+    lat, lon, _ = geodetic_from_enu(50.0, north_m, 0.0, Origin(**{**status["origin"], "x_heading_deg": 90.0}))
+    new = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": 170.0, "x_heading_deg": heading_deg}
+    reported = await gcs("origin.set", **new)
+    assert reported == {"origin": new, "generation": status["generation"] + 1}
+    states = await gcs("vehicles.list")
+    for position in (s["position"] for s in states):
+        seen = enu_from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"], Origin(**new))
+        assert position["enu_m"] == pytest.approx(seen, abs=0.002)
+        assert position["origin_generation"] == reported["generation"]
+    event = next(e for e in reversed(gcs.daemon.event_log.recent) if e["kind"] == "origin")
+    assert (event["data"]["old"], event["data"]["new"]) == (status["origin"], new)
+    await stays(gcs, before)
+
+
+async def told_to_armed_vehicles(gcs: Flight) -> None:
+    """That takes force, and an ArduPilot says that it keeps its own."""
+    refused = (await gcs("origin.push", targets="all"))["outcomes"]
+    assert all(o["result"] == "refused" and "armed" in o["message"] for o in refused.values())
+    before = gcs.truth()
+    reported = (await gcs("origin.push", targets="all", force=True))["outcomes"]
+    assert reported["v1"]["ok"] and reported["v2"]["ok"], reported
+    assert reported["v3"]["result"] == "denied"
+    assert "ArduPilot has an origin already" in reported["v3"]["message"]
+    await stays(gcs, before)
+
+
+async def stays(gcs: Flight, before: list[tuple[float, float, float]]) -> None:
+    """Nobody moves, for ten seconds."""
+    await asyncio.sleep(10)
+    for was, now in zip(before, gcs.truth(), strict=True):
+        assert math.dist(was, now) < HOLDING_M
+
+
+@covered_by_other_flights
 async def test_a_place_in_a_turned_frame_is_the_right_place_on_earth(tmp_path: Path) -> None:
     async with flight(tmp_path) as gcs:
         field = gcs.vehicles[0].where
@@ -122,7 +153,7 @@ async def test_a_place_in_a_turned_frame_is_the_right_place_on_earth(tmp_path: P
         goals = {1: [20.0, -15.0, 22.0], 3: [-10.0, 12.0, 19.0]}
         for sysid, goal in goals.items():
             await gcs.done("vehicles.goto", targets=str(sysid), enu_m=goal, force=True)  # past v2
-        await asyncio.sleep(40)
+        await asyncio.sleep(25)
         for sysid, goal in goals.items():
             lat, lon, alt = geodetic_from_enu(goal[0], goal[1], goal[2], origin)
             where = gcs.on_earth(sysid - 1)
@@ -141,42 +172,10 @@ async def test_several_keep_their_places_to_each_other_in_a_turned_frame(tmp_pat
         turned, plain = Origin(**{**status, "x_heading_deg": 200.0}), Origin(**{**status, "x_heading_deg": 90.0})
         before = [enu_from_geodetic(*gcs.on_earth(i), plain) for i in range(3)]
         await gcs.done("vehicles.goto", targets="all", enu_m=[25.0, 10.0, 5.0])
-        await asyncio.sleep(40)
+        await asyncio.sleep(25)
         after = [enu_from_geodetic(*gcs.on_earth(i), plain) for i in range(3)]
         for i in (1, 2):
             for axis in (0, 1):
                 assert after[i][axis] - after[0][axis] == pytest.approx(before[i][axis] - before[0][axis], abs=1.5)
         places = [enu_from_geodetic(*gcs.on_earth(i), turned) for i in range(3)]
         assert [sum(axis) / 3 for axis in zip(*places, strict=True)] == pytest.approx([25.0, 10.0, 5.0], abs=1.0)
-
-
-async def test_heights_above_the_take_off_are_known_to_the_daemon_that_saw_it(tmp_path: Path) -> None:
-    async with flight(tmp_path) as gcs:
-        for state in await gcs("vehicles.list"):
-            assert state["position"]["alt_takeoff_m"] == pytest.approx(10.0, abs=HOLDING_M)
-
-
-async def test_an_origin_of_another_site_is_refused_while_vehicles_are_here(tmp_path: Path) -> None:
-    async with flight(tmp_path) as gcs:
-        elsewhere = {"lat_deg": 47.4, "lon_deg": 8.5, "alt_amsl_m": 480.0}
-        with pytest.raises(RefusedError, match=r"km from v\d.*force"):
-            await gcs("origin.set", **elsewhere)
-        assert (await gcs("origin.get"))["origin"] is None
-        assert (await gcs("origin.set", **elsewhere, force=True))["generation"] == 1
-
-
-async def test_telling_an_armed_vehicle_takes_force_and_ardupilot_says_that_it_keeps_its_own(tmp_path: Path) -> None:
-    async with flight(tmp_path) as gcs:
-        with pytest.raises(RefusedError, match="no origin to send"):
-            await gcs("origin.push", targets="all")
-        await gcs("origin.from_vehicle", target="1")
-        refused = (await gcs("origin.push", targets="all"))["outcomes"]
-        assert all(o["result"] == "refused" and "armed" in o["message"] for o in refused.values())
-        before = gcs.truth()
-        reported = (await gcs("origin.push", targets="all", force=True))["outcomes"]
-        assert reported["v1"]["ok"] and reported["v2"]["ok"], reported
-        assert reported["v3"]["result"] == "denied"
-        assert "ArduPilot has an origin already" in reported["v3"]["message"]
-        await asyncio.sleep(10)
-        for was, now in zip(before, gcs.truth(), strict=True):
-            assert math.dist(was, now) < HOLDING_M

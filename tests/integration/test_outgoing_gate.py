@@ -11,6 +11,7 @@ import pytest
 
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import RefusedError
+from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 from support.planned import UP_M, run, state, timed
 from support.sim_pilot import int_param
@@ -86,6 +87,7 @@ async def test_a_part_of_skygcs_without_a_clearance_sends_what_is_harmless_only(
         gcs.told.remove(faults[0])  # it was made here
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_vehicle_that_has_landed_is_ready_where_takeoff_works(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind) as gcs:

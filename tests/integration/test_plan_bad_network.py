@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from support.examples import covered_by_other_flights
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
@@ -82,6 +83,7 @@ async def test_five_per_cent_loss_and_gaps_of_a_second(tmp_path: Path, kind: str
         assert least_distance(gcs, began)[0] > MARGIN_M, least_distance(gcs, began)
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("lost", ["v1", "v2"])
 async def test_one_that_loses_its_link_while_they_cross_stops_the_others_apart_from_it(
     tmp_path: Path, lost: str

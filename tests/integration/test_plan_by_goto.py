@@ -11,10 +11,14 @@ from typing import Any
 import pytest
 
 from skygcs.core.plan.fleet_plan import PhasedPlan
+from support.examples import covered_by_other_flights
 from support.flown import SETPOINTS, Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, run, state, timed
 
 pytestmark = pytest.mark.looptime
+
+COPTER_LOITER = 5
+"""ArduCopter's LOITER, which follows the sticks."""
 
 OVER = ("finished", "stopped", "aborted")
 
@@ -39,6 +43,7 @@ async def crossing(gcs: Flown, **params: Any) -> float:
     return gcs.now
 
 
+@covered_by_other_flights
 async def test_a_swap_in_layers_takes_one_order_for_each_leg_and_no_setpoint(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         began, plan = gcs.now, swap(gcs)
@@ -54,6 +59,7 @@ async def test_a_swap_in_layers_takes_one_order_for_each_leg_and_no_setpoint(tmp
         assert len(gotos) == 5, [(s.at, s.sysid) for s in gotos]
 
 
+@covered_by_other_flights
 async def test_the_ground_that_dies_in_a_leg_leaves_all_at_rest_at_its_ends(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         plan = swap(gcs)
@@ -74,6 +80,7 @@ async def test_the_ground_that_dies_in_a_leg_leaves_all_at_rest_at_its_ends(tmp_
         assert state(gcs) == "finished", plan_events(gcs)
 
 
+@covered_by_other_flights
 async def test_a_lost_order_is_given_again_until_the_vehicle_shows_its_target(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         await run(gcs, swap(gcs), by="goto")
@@ -87,6 +94,7 @@ async def test_a_lost_order_is_given_again_until_the_vehicle_shows_its_target(tm
         assert state(gcs) == "finished", plan_events(gcs)
 
 
+@covered_by_other_flights
 async def test_a_vehicle_that_does_not_hear_its_first_order_is_waited_for(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         await run(gcs, swap(gcs), by="goto")
@@ -101,6 +109,22 @@ async def test_a_vehicle_that_does_not_hear_its_first_order_is_waited_for(tmp_pa
         assert state(gcs) == "finished", plan_events(gcs)
 
 
+async def test_one_that_its_pilot_takes_before_it_hears_its_first_order_is_not_ordered_again(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
+        gcs.loses = frozenset({"COMMAND_INT"})
+        await run(gcs, swap(gcs), by="goto")
+        await gcs.until(lambda: state(gcs) == "engaging", 120.0)
+        await asyncio.sleep(4.0)
+        gcs.other_sets_mode(COPTER_LOITER, sysid=2)
+        await gcs.until(lambda: gcs.actor("v2").vehicle.mode == "LOITER", 10.0)
+        await asyncio.sleep(1.0)
+        gcs.loses = frozenset()
+        await gcs.until(lambda: state(gcs) == "stopped", 60.0)
+        await asyncio.sleep(15.0)
+        assert gcs.actor("v2").vehicle.mode == "LOITER"
+
+
+@covered_by_other_flights
 async def test_a_pilot_stops_all_and_is_sent_nothing(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         since = await crossing(gcs)
@@ -155,6 +179,7 @@ async def test_one_that_is_carried_away_stops_all_and_flies_back_to_its_leg(tmp_
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
+@covered_by_other_flights
 async def test_abort_ends_in_a_hold(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         since = await crossing(gcs)

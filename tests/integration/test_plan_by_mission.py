@@ -12,12 +12,11 @@ import pytest
 from skygcs.core.plan.fleet_plan import PhasedPlan
 from skygcs.core.vehicle.mission_orders import MISSION_MODES
 from skygcs.errors import RefusedError
-from support.flown import SETPOINTS, Flown, flown
+from support.examples import covered_by_other_flights
+from support.flown import SETPOINTS, Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, refused, run, state, timed
 
 pytestmark = pytest.mark.looptime
-
-COSTS = "each test flies two vehicles from the ground through a whole plan"
 
 OVER = ("finished", "stopped", "aborted")
 BREAKS_OFF = {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}
@@ -61,6 +60,7 @@ def at_goals(gcs: Flown, plan: PhasedPlan) -> bool:
     return all(math.dist(gcs.place(name), leg[1]) < 1.0 for name, leg in plan.legs()[-1][1].items())
 
 
+@covered_by_other_flights
 async def test_each_flies_its_whole_way_by_itself_and_is_sent_nothing_on_it(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         began = gcs.now
@@ -117,7 +117,7 @@ async def test_a_plan_that_needs_its_barriers_is_refused_with_the_pair(tmp_path:
 
 
 async def test_a_timed_plan_is_refused_with_the_command_that_makes_phases(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
         here = {name: gcs.place(name) for name in ("v1", "v2")}
         await load(gcs, timed(here, {name: (x, y + 10.0, up) for name, (x, y, up) in here.items()}))
         with pytest.raises(RefusedError, match="missions, which have no times: `skygcs-cli plan make FILE"):
@@ -144,6 +144,7 @@ async def test_a_vehicle_that_breaks_its_mission_off_without_the_ground_is_refus
         assert not [f for f in report["findings"] if f["check"] == "if skygcs dies" and f["severity"] == "refused"]
 
 
+@covered_by_other_flights
 async def test_a_pause_holds_all_and_they_go_on_where_they_are(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         plan = await begun(gcs)
@@ -178,6 +179,7 @@ async def test_one_that_has_ended_its_mission_stays_when_the_others_go_on_after_
         assert all(math.dist(t.pos_m, goal) < 1.0 for t in gcs.truth[1] if t.at >= since)
 
 
+@covered_by_other_flights
 async def test_an_abort_while_an_order_is_repeated_is_the_last_word(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         await run(gcs, parallel(gcs), by="mission")

@@ -11,7 +11,8 @@ import pytest
 
 from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.trajectory import MotionLimits
-from support.flown import Flown, flown
+from support.examples import covered_by_other_flights
+from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, load, phased, refused, state, timed
 
 pytestmark = pytest.mark.looptime
@@ -51,6 +52,7 @@ async def set_apart(gcs: Flown) -> None:
         sim.params.set("RTL_ALT", 3000 + 1000 * i)
 
 
+@covered_by_other_flights
 async def test_a_fleet_in_order_passes_and_nothing_moves(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         await set_apart(gcs)
@@ -98,42 +100,7 @@ async def test_return_heights_are_refused_insisted_on_or_set(tmp_path: Path) -> 
         await asyncio.sleep(20.0)
 
 
-async def test_a_vehicle_that_is_lost_or_unknown_or_twice_is_refused(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await set_apart(gcs)
-        starts = above(gcs, "v1", "v2")
-        await load(gcs, timed(starts, north(starts)))
-        gcs.muted.add(2)
-        await asyncio.sleep(12.0)
-        assert ("v2", "state") in checks(await report(gcs, force=True))
-        with pytest.raises(Exception, match="v9"):
-            await report(gcs, vehicles={"v1": "v9"})
-        with pytest.raises(Exception, match="given twice"):
-            await report(gcs, vehicles={"v1": "v1", "v2": "v1"})
-        with pytest.raises(Exception, match="has no x"):
-            await report(gcs, vehicles={"x": "v1"})
-        with pytest.raises(Exception, match="not loaded any more"):
-            await report(gcs, plan="77")
-        # one by itself, and the lost one is an obstacle where it stood
-        found = await report(gcs, vehicles={"v1": "v1"})
-        assert found["ok"], refused(found)
-
-
-async def test_without_a_position_it_is_refused_even_with_force(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        starts = above(gcs, "v1", "v2")
-        await load(gcs, timed(starts, north(starts)))
-        actor = gcs.actor("v2")
-        slot = actor.vehicle.slot("GLOBAL_POSITION_INT")
-        assert slot is not None
-        for sim in gcs.sims[1:]:
-            sim.interval_us = {}  # type: ignore[attr-defined]
-        gcs.muted.add(2)
-        await asyncio.sleep(4.0)
-        found = await report(gcs, force=True)
-        assert not found["ok"] and (("v2", "position") in checks(found) or ("v2", "state") in checks(found)), found
-
-
+@covered_by_other_flights
 async def test_a_low_battery_is_refused_and_the_source_of_the_flight_time_is_named(tmp_path: Path) -> None:
     tables = {"defaults": {"control": {}, "flight_time_min": 2.0, "battery_reserve_percent": 40.0}}
     async with flown(tmp_path, px4=1, takeoff=False, tables=tables) as gcs:
@@ -146,6 +113,7 @@ async def test_a_low_battery_is_refused_and_the_source_of_the_flight_time_is_nam
         assert (await report(gcs, force=True))["ok"]
 
 
+@covered_by_other_flights
 async def test_a_parked_one_on_the_way_is_named_with_its_pair(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=3, takeoff=False) as gcs:
         await set_apart(gcs)
@@ -157,25 +125,21 @@ async def test_a_parked_one_on_the_way_is_named_with_its_pair(tmp_path: Path) ->
         assert any("v1 and v" in text and "come within" in text for text in refused(found)), refused(found)
 
 
-async def test_starts_that_cross_are_reached_in_layers_or_refused_below_a_low_ceiling(tmp_path: Path) -> None:
+async def test_starts_that_cross_ways_that_cannot_be_flown_and_vehicles_that_are_not_there(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         await set_apart(gcs)
+        # starts that cross are reached in layers, or refused below a low ceiling
         a, b = (gcs.place_of_home(name) for name in ("v1", "v2"))
-        starts = {"v1": (*b[:2], UP_M), "v2": (*a[:2], UP_M)}
-        plan = timed(starts, north(starts))
-        await load(gcs, plan)
+        crossed = {"v1": (*b[:2], UP_M), "v2": (*a[:2], UP_M)}
+        await load(gcs, timed(crossed, north(crossed)))
         found = await report(gcs)
         assert found["ok"], refused(found)
         assert [step["name"] for step in found["steps"]][:2] == ["cross", "descend"], found["steps"]
-        low = {name: (x, y, 4.0) for name, (x, y, _) in starts.items()}
+        low = {name: (x, y, 4.0) for name, (x, y, _) in crossed.items()}
         await load(gcs, timed(low, north(low)), FlightSpace(ceiling_m=6.0))
         found = await report(gcs, force=True)
         assert not found["ok"] and any("in layers" in text for text in refused(found)), refused(found)
-
-
-async def test_plans_on_the_ground_too_fast_or_beyond_the_fence_are_refused(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        await set_apart(gcs)
+        # on the ground, beyond the fence, too fast
         starts = above(gcs, "v1", "v2")
         low = {name: (x, y, 0.3) for name, (x, y, _) in north(starts).items()}
         for plan, text in (
@@ -190,10 +154,28 @@ async def test_plans_on_the_ground_too_fast_or_beyond_the_fence_are_refused(tmp_
         await load(gcs, timed(starts, north(starts)))
         assert (await report(gcs))["ok"]
         assert not (await report(gcs, speed=4.0, force=True))["ok"]
+        # vehicles that are unknown, twice, or without a position, and then lost
+        for wrong, why in (
+            ({"vehicles": {"v1": "v9"}}, "v9"),
+            ({"vehicles": {"v1": "v1", "v2": "v1"}}, "given twice"),
+            ({"vehicles": {"x": "v1"}}, "has no x"),
+            ({"plan": "77"}, "not loaded any more"),
+        ):
+            with pytest.raises(Exception, match=why):
+                await report(gcs, **wrong)
+        gcs.muted.add(2)
+        await asyncio.sleep(4.0)
+        assert {("v2", "position"), ("v2", "state")} & checks(await report(gcs, force=True))
+        await asyncio.sleep(8.0)
+        assert ("v2", "state") in checks(await report(gcs, force=True))
+        # one by itself, and the lost one is an obstacle where it stood
+        found = await report(gcs, vehicles={"v1": "v1"})
+        assert found["ok"], refused(found)
 
 
+@covered_by_other_flights
 async def test_an_unplanned_one_in_the_air_that_moves_is_refused_and_insisted_on(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         await set_apart(gcs)
         starts = above(gcs, "v1")
         await load(gcs, timed(starts, {"v1": (starts["v1"][0] - 12.0, *starts["v1"][1:])}))

@@ -16,7 +16,8 @@ from skygcs.ext.plans.flight_preparation import way_down
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.called import plans_of
-from support.flown import Flown, flown
+from support.examples import covered_by_other_flights
+from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
 COSTS = "it flies a dozen plans of several vehicles from the ground to their ends"
@@ -33,6 +34,7 @@ def crossing(gcs: Flown) -> tuple[dict[str, Any], dict[str, Any]]:
     return starts, {name: (x, y + 12.0, UP_M) for name, (x, y, _) in places.items()}
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
@@ -48,18 +50,24 @@ async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, 
         assert least_distance(gcs, began)[0] > MARGIN_M
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_plan_that_is_run_in_the_moment_the_last_one_finished_is_flown(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     """The orders to hold at the end of the one do not end the engagement of the other."""
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         starts, goals = crossing(gcs)
         for plan in (timed(starts, goals), timed(goals, starts)):
             began = gcs.now
             await run(gcs, plan)
             await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 120.0)
             assert state(gcs) == "finished", plan_events(gcs, began)
+
+
+def take_away_v2(gcs: Flown, kind: dict[str, int]) -> None:
+    """Into AUTO.LOITER, as by a failsafe or a pilot; an ArduCopter into LOITER, which follows the sticks."""
+    gcs.other_sets_mode(*((4, 3) if kind["px4"] else (5,)), sysid=2)
 
 
 async def midway(gcs: Flown, **params: Any) -> float:
@@ -71,6 +79,7 @@ async def midway(gcs: Flown, **params: Any) -> float:
     return gcs.now
 
 
+@covered_by_other_flights
 async def test_phases_are_flown_with_barriers_and_the_layers_keep_a_swap_apart(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         began, (a, b) = gcs.now, (gcs.place_of_home("v1"), gcs.place_of_home("v2"))
@@ -95,6 +104,7 @@ async def test_phases_are_flown_with_barriers_and_the_layers_keep_a_swap_apart(t
         assert least_distance(gcs, began)[0] > MARGIN_M
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
@@ -138,16 +148,14 @@ async def test_a_lost_vehicle_stops_all_and_is_flown_on_with_when_it_is_heard_ag
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_pilot_who_takes_over_stops_all_and_a_resume_is_refused_while_he_flies(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         since = await midway(gcs)
-        if kind["px4"]:
-            gcs.other_sets_mode(4, 3, sysid=2)
-        else:
-            gcs.other_sets_mode(5, sysid=2)  # LOITER
+        take_away_v2(gcs, kind)
         await gcs.until(lambda: state(gcs) == "stopped", 5.0)
         assert "v2 left" in plan_events(gcs, since)[0]
         answer = await gcs("plan.resume")
@@ -164,6 +172,7 @@ async def test_a_pilot_who_takes_over_stops_all_and_a_resume_is_refused_while_he
         assert state(gcs) == "finished", plan_events(gcs)
 
 
+@covered_by_other_flights
 async def test_a_vehicle_that_the_guard_holds_stops_all_and_goes_back_to_its_way_by_a_new_certificate(
     tmp_path: Path,
 ) -> None:
@@ -183,6 +192,7 @@ async def test_a_vehicle_that_the_guard_holds_stops_all_and_goes_back_to_its_way
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
+@covered_by_other_flights
 async def test_a_resume_that_cannot_be_certified_names_the_pair(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=3, takeoff=False) as gcs:
         starts, goals = crossing(gcs)
@@ -233,6 +243,7 @@ async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict
         await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 10.0)
 
 
+@covered_by_other_flights
 async def test_a_second_flight_begins_in_the_mode_that_the_landing_left(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         starts, goals = crossing(gcs)
@@ -250,7 +261,7 @@ async def test_a_second_flight_begins_in_the_mode_that_the_landing_left(tmp_path
 
 async def test_the_tracking_error_of_the_fleet_file_widens_the_tube(tmp_path: Path) -> None:
     tables = {"vehicles": {"v1": {"sysid": 1, "separation": {"tracking_error_m": 1.3}}}}
-    async with flown(tmp_path, px4=2, tables=tables) as gcs:
+    async with aloft(tmp_path, px4=2, tables=tables) as gcs:
         starts, goals = crossing(gcs)
         await run(gcs, timed(starts, goals))
         report = (await gcs("plan.status"))["vehicles"]
@@ -266,6 +277,25 @@ async def test_a_barrier_that_was_passed_is_enough_for_the_next_step(tmp_path: P
         await run(gcs, timed(starts, goals))
         await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 180.0)
         assert state(gcs) == "finished", (await gcs("plan.status"))["reason"]
+
+
+@KINDS
+async def test_a_landing_takes_along_one_that_left_and_holds_but_not_one_that_a_pilot_flies(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, **kind, takeoff=False) as gcs:
+        since = await midway(gcs)
+        take_away_v2(gcs, kind)
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        await asyncio.sleep(5.0)
+        await gcs("plan.land")
+        await gcs.until(lambda: state(gcs) in ("landed", "stopped"), 120.0)
+        assert state(gcs) == "landed"
+        landed = ["v1", "v2"] if kind["px4"] else ["v1"]
+        await gcs.until(lambda: not any(gcs.sim(name).armed for name in landed), 10.0)
+        if "v2" not in landed:
+            assert gcs.sim("v2").armed
+            assert any("v2: flown by a pilot" in text for text in plan_events(gcs, since))
 
 
 async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_lands_them(tmp_path: Path) -> None:
@@ -285,6 +315,7 @@ async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
 
 
+@covered_by_other_flights
 async def test_a_check_meanwhile_does_not_change_the_margins_by_which_a_flight_is_landed(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         await midway(gcs)

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from support.flown import Flown, flown
+from support.examples import covered_by_other_flights
+from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, load, timed
 
 pytestmark = pytest.mark.looptime
@@ -60,8 +61,9 @@ async def test_the_own_fence_is_looked_at_before_anything_moves_or_is_written(tm
         assert not report["ok"] and insisted["ok"], insisted["findings"]
 
 
+@covered_by_other_flights
 async def test_the_dry_run_does_not_pass_a_vehicle_that_returns(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
         starts = {name: gcs.place(name) for name in ("v1", "v2")}
         await load(gcs, timed(starts, {name: (x, y + 10.0, up) for name, (x, y, up) in starts.items()}))
         gcs.other_sets_mode(4, 5, sysid=1)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from support.flown import flown
-from support.planned import MARGIN_M, UP_M, least_distance, run, state, timed
+from support.called import plans_of
+from support.examples import covered_by_other_flights
+from support.flown import Flown, flown
+from support.planned import MARGIN_M, UP_M, least_distance, load, run, state, timed
 
 pytestmark = pytest.mark.looptime
 
 LOITER = (4, 3)
 """PX4's AUTO.LOITER, as a pilot or another station sets it."""
 
+COPTER_LOITER = 5
+"""ArduCopter's LOITER."""
 
+
+@covered_by_other_flights
 @pytest.mark.parametrize("when", ["takeoff", "to_starts", "flying", "paused", "aborting", "landing"])
 async def test_a_pilot_keeps_what_he_took_and_the_others_are_safe(tmp_path: Path, when: str) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
@@ -50,3 +58,64 @@ async def test_a_pilot_keeps_what_he_took_and_the_others_are_safe(tmp_path: Path
             assert gcs.actor("v2").vehicle.mode == "AUTO.LOITER", "nobody takes it from him"
             assert not gcs.setpoints(since + 2.0, "v2"), "nothing is sent to it any more"
         assert least_distance(gcs, 0.0)[0] > MARGIN_M
+
+
+async def held_up(gcs: Flown, order: str, **params: Any) -> tuple[asyncio.Task[Any], asyncio.Event]:
+    """An order to a plan whose certificate is being made, and what lets it be ready."""
+    runner = plans_of(gcs.daemon).runner
+    work, began, ready = runner.work, asyncio.Event(), asyncio.Event()
+
+    async def slow(function: Callable[..., Any], *arguments: Any) -> Any:
+        began.set()
+        await ready.wait()
+        return await work(function, *arguments)
+
+    runner.work = slow
+    asked = asyncio.create_task(gcs(order, **params))
+    await began.wait()
+    return asked, ready
+
+
+async def left_to_pilot(gcs: Flown, since: float) -> None:
+    """Nobody takes v2 from LOITER, and the plan does not go on."""
+    await gcs.until(lambda: state(gcs) == "stopped", 20.0)
+    await asyncio.sleep(5.0)
+    assert gcs.actor("v2").vehicle.mode == "LOITER"
+    assert not gcs.setpoints(since, "v2")
+
+
+async def taken_by_pilot(gcs: Flown) -> float:
+    """Switch v2 to LOITER, which follows the sticks; when that is seen."""
+    gcs.other_sets_mode(COPTER_LOITER, sysid=2)
+    await gcs.until(lambda: gcs.actor("v2").vehicle.mode == "LOITER", 10.0)
+    await asyncio.sleep(1.0)
+    return gcs.now
+
+
+async def test_one_that_its_pilot_takes_while_a_plan_is_checked_is_left_to_him(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=0, ardupilot=2) as gcs:
+        starts = {name: gcs.place(name) for name in ("v1", "v2")}
+        await load(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
+        asked, ready = await held_up(gcs, "plan.run", margin_m=MARGIN_M, force=True)
+        since = await taken_by_pilot(gcs)
+        ready.set()
+        await asked
+        await left_to_pilot(gcs, since)
+        assert "switched to LOITER before it was under control" in gcs.daemon.fleet.plans.status()["reason"]
+
+
+async def test_one_that_its_pilot_takes_while_a_plan_is_certified_anew_is_left_to_him(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=0, ardupilot=2) as gcs:
+        starts = {name: gcs.place(name) for name in ("v1", "v2")}
+        await run(gcs, timed(starts, {name: (x, y + 12.0, up) for name, (x, y, up) in starts.items()}))
+        await gcs.until(lambda: state(gcs) == "flying", 90.0)
+        await asyncio.sleep(3.0)
+        gcs.sim("v2").motion.north_m -= 6.0  # a gust: there is a way back
+        await gcs.until(lambda: state(gcs) == "stopped", 20.0)
+        await asyncio.sleep(8.0)
+        asked, ready = await held_up(gcs, "plan.resume")
+        since = await taken_by_pilot(gcs)
+        ready.set()
+        answer = await asked
+        assert not answer["ok"] and "v2 left while the certificate was made" in answer["message"]
+        await left_to_pilot(gcs, since)

@@ -17,6 +17,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.vehicle import SimVehicle
+from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, flown
 from support.planned import MARGIN_M, load, timed
 
@@ -140,6 +141,7 @@ async def test_a_refused_arming_leaves_an_arduplane_in_a_mode_without_sticks(tmp
         assert plane.motion.up_m == 0.0 and plane.motion.groundspeed_mps == 0.0  # no arming lifts it
 
 
+@covered_by_other_flights
 async def test_a_takeoff_that_is_not_seen_puts_no_flying_plane_into_another_mode(tmp_path: Path) -> None:
     async with flown(tmp_path, **EMPTY, others={"ardupilot_plane": 1}) as gcs:
         plane, vehicle = gcs.sims[0], gcs.actor().vehicle
@@ -243,6 +245,7 @@ async def test_a_plan_and_a_formation_name_the_vehicle_that_cannot_hover(tmp_pat
         assert len([s for s in gcs.sent if s.name.startswith("SET_") or s.values.get("command") == 176]) == sent
 
 
+@covered_by_other_flights
 async def test_a_rover_drives_its_mission_and_a_refused_arming_leaves_it_out_of_auto(tmp_path: Path) -> None:
     def item(seq: int, east_m: float, north_m: float) -> str:
         lat, lon = FIELD.to_geodetic(east_m, north_m)

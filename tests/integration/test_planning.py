@@ -4,8 +4,6 @@ the process, for which virtual time does not wait (tests/system/test_planning_pr
 from __future__ import annotations
 
 import asyncio
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,30 +13,19 @@ from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.plan.margins import DEFAULT
 from skygcs.core.plan.plan_json import plan_from_json
 from skygcs.errors import RefusedError, SkygcsError, TargetError
-from skygcs.ext.plans.planning.planning_queue import PlanningQueue
-from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
-from skygcs.ext.plans.planning.worker import answered
 from skygcs.rpc.dispatch import InvalidParams
-from support.called import plans_of
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
+from support.planned import instant_planning
 
 pytestmark = pytest.mark.looptime
 
 WIDE = {"x_m": [-100, 100], "y_m": [-100, 100], "up_m": [0, 60]}
 
 
-async def _here(request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
-    return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
-
-
-def planning(gcs: Flown) -> Callable[..., Any]:
-    plans_of(gcs.daemon).queue = PlanningQueue(asyncio.get_running_loop(), _here)
-
-    async def ask(method: str, **params: Any) -> dict[str, Any]:
-        found: dict[str, Any] = await gcs(method, **params)
-        return found
-
-    return ask
+def planning(gcs: Flown) -> Flown:
+    """To be asked for plans, which come at once."""
+    instant_planning(gcs.daemon)
+    return gcs
 
 
 def near(place: list[float], other: list[float] | tuple[float, ...], within_m: float = 0.5) -> bool:
@@ -46,7 +33,7 @@ def near(place: list[float], other: list[float] | tuple[float, ...], within_m: f
 
 
 async def test_starts_are_measured_and_others_are_obstacles(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=3) as gcs:
+    async with aloft(tmp_path, px4=3) as gcs:
         ask = planning(gcs)
         at = {name: list(gcs.place(name)) for name in ("v1", "v2", "v3")}  # 5 m apart to the east, 10 m up
         found = await ask("plan.make", goals={"v1": at["v2"], "2": at["v1"]})
@@ -69,7 +56,7 @@ async def test_starts_are_measured_and_others_are_obstacles(tmp_path: Path) -> N
 
 async def test_the_control_fences_are_the_walls_of_what_is_made(tmp_path: Path) -> None:
     """By default 50 m, of which 2 m are its margin: what is made passes the check of a flight, or is refused here."""
-    async with flown(tmp_path, px4=2, control={"fence": {"up_m": [0, 25]}}) as gcs:
+    async with aloft(tmp_path, px4=2, control={"fence": {"up_m": [0, 25]}}) as gcs:
         ask = planning(gcs)
         at = [list(gcs.place(name)) for name in ("v1", "v2")]
         for goal, passes in (([0.0, 47.9, 10.0], True), ([0.0, 48.1, 10.0], False), ([0.0, 20.0, 23.1], False)):
@@ -84,7 +71,7 @@ async def test_the_control_fences_are_the_walls_of_what_is_made(tmp_path: Path) 
 
 
 async def test_formations_and_written_paths(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=3, control={"fence": WIDE}) as gcs:
+    async with aloft(tmp_path, px4=3, control={"fence": WIDE}) as gcs:
         ask = planning(gcs)
         shape = {"vehicles": ["v1", "v2", "v3"], "shape": "line", "spacing_m": 6.0, "middle_m": [40.0, 0.0, 12.0]}
         found = await ask("plan.make", formation=shape)
@@ -98,7 +85,7 @@ async def test_formations_and_written_paths(tmp_path: Path) -> None:
 
 
 async def test_a_formation_in_flight_is_moved_turned_and_scaled(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=3, control={"fence": WIDE}) as gcs:
+    async with aloft(tmp_path, px4=3, control={"fence": WIDE}) as gcs:
         ask = planning(gcs)
         at = {name: gcs.place(name) for name in ("v1", "v2", "v3")}
         names = list(at)
@@ -130,7 +117,7 @@ def ends(content: dict[str, Any]) -> dict[str, list[float]]:
 
 
 async def test_what_cannot_be_planned_is_refused_with_a_reason(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         ask = planning(gcs)
         with pytest.raises(TargetError, match="v9"):
             await ask("plan.make", goals={"v9": [0, 0, 10]})
@@ -150,7 +137,7 @@ async def test_what_cannot_be_planned_is_refused_with_a_reason(tmp_path: Path) -
 
 @pytest.mark.deep
 async def test_measured_terms_replace_the_defaults_once_there_is_enough(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, delay_s=0.05) as gcs:
+    async with aloft(tmp_path, px4=2, delay_s=0.05) as gcs:
         ask = planning(gcs)
         goals = {"v1": [0.0, 30.0, 10.0], "v2": [12.0, 30.0, 10.0]}
         before = (await ask("plan.make", goals=goals, kind="timed"))["certificate"]["closest"]
@@ -179,7 +166,7 @@ async def test_measured_terms_replace_the_defaults_once_there_is_enough(tmp_path
 
 
 async def test_none_crosses_on_the_ground(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         ask = planning(gcs)
         at = {name: list(gcs.place(name)) for name in ("v1", "v2")}
         swap = {"v1": at["v2"], "v2": at["v1"]}
@@ -191,5 +178,12 @@ async def test_none_crosses_on_the_ground(tmp_path: Path) -> None:
         assert abs(found["plan"]["space"]["floor_m"]) < 0.5
         assert all(place[2] > 5.0 for phase in (climb, cross) for place in phase["goals"].values())
         assert set(climb["goals"]) == {"v1", "v2"}
+        # also where nobody crosses: plan.run refuses what does not begin in the air
+        x, y, _ = at["v1"]
+        aside = {"v1": [x, y + 20.0, 10.0]}
+        (climb, *_) = (await ask("plan.make", goals=aside))["plan"]["phases"]
+        assert climb["goals"]["v1"][:2] == pytest.approx([x, y], abs=0.5)
+        with pytest.raises(RefusedError, match="take off first"):
+            await ask("plan.make", goals=aside, kind="timed")
         given = await ask("plan.make", goals=swap, space={"floor_m": -3.0})
         assert given["plan"]["space"]["floor_m"] == -3.0

@@ -9,11 +9,13 @@ import pytest
 
 from skygcs.core.radio_link.stream_rates import CONTROLLED, NORMAL, POSITION
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.examples import covered_by_other_flights
 from support.on_air import on_air
 
 pytestmark = pytest.mark.looptime
 
 
+@covered_by_other_flights
 async def test_two_copters_flown_by_position_over_a_fast_radio_hold_and_step_within_the_plan(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=0, ardupilot=2, radio={"air_kbps": 250}, link={"stream_profile": "nav"}) as air:
         await air.settled(2)

@@ -12,9 +12,8 @@ from skygcs.core.radio_link.stream_rates import POSITION, profile_rates
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime.link_view import LinkView
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.examples import covered_by_other_flights
 from support.on_air import OnAir, on_air
-
-COSTS = "ten vehicles on one radio, in most of its tests"
 
 pytestmark = pytest.mark.looptime
 
@@ -23,15 +22,17 @@ FLOODED = {"stream_profile": "nav", "third_party": {"bytes_per_s": 100_000, "rat
 """Nobody is slowed down: what others send fills whatever is left."""
 
 
-def flood(air: OnAir) -> None:
-    """What a program beside us may send to every vehicle, as much as waits at most."""
+def flood(air: OnAir, of_each: int = 3) -> None:
+    """Send as another program may, to every vehicle: twenty messages each fill the queue, three are more than leave
+    in a tenth of a second."""
     info = air.daemon.dialect.by_name["PARAM_REQUEST_READ"]
-    for index in range(20):
+    for index in range(of_each):
         for sim in air.link.vehicles:
             values = {"target_system": sim.sysid, "target_component": 1, "param_id": b"X", "param_index": index}
             air.channel.send(encode(info, values, sysid=250, compid=190, seq=0), Priority.FORWARDED)
 
 
+@covered_by_other_flights
 async def test_ten_vehicles_at_64_kbit_stream_their_plan_and_nothing_else(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, radio={"air_kbps": 64}, **NAV) as air:
         await air.settled(10)
@@ -43,15 +44,16 @@ async def test_ten_vehicles_at_64_kbit_stream_their_plan_and_nothing_else(tmp_pa
         assert 0.2 < told["vehicles"][0]["round_trip_s"] < 2 * told["up"]["round_s"]
         assert air.radio.network.stats(0).overflow_bytes == 0
         sent = told["up"]["classes"]["protocol"]["sent"]
-        await asyncio.sleep(60)
-        assert air.air()["up"]["classes"]["protocol"]["sent"] <= sent + 2, "and is left alone then"
+        await asyncio.sleep(30)
+        assert air.air()["up"]["classes"]["protocol"]["sent"] <= sent + 1, "and is left alone then"
 
 
 async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, link=FLOODED) as air:
         await air.settled(10)
+        flood(air, 20)
         before, began = air.channel.tx_bytes, air.daemon.now()
-        for _ in range(200):
+        for _ in range(100):
             flood(air)
             await asyncio.sleep(0.1)
         assert air.channel.air is not None and air.channel.air.queue.budget is not None
@@ -61,6 +63,7 @@ async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Pat
         assert air.radio.network.txbuf_percent(0) > 40
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("phase_s", [0.0, 0.3, 0.6, 0.85])
 async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(tmp_path: Path, phase_s: float) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, link=FLOODED) as air:
@@ -75,7 +78,8 @@ async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(t
                 before(frame, now)
 
             sim.on_frame = on_frame  # type: ignore[method-assign]
-        for _ in range(100):
+        flood(air, 20)
+        for _ in range(50):
             flood(air)
             await asyncio.sleep(0.1)
         await asyncio.sleep(phase_s)  # wherever the round of 0.91 s is
@@ -91,6 +95,7 @@ async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(t
         assert max(heard.values()) - ordered <= 2 * air.air()["up"]["round_s"] + 0.2
 
 
+@covered_by_other_flights
 async def test_commands_are_answered_within_two_rounds_while_the_fleet_streams(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, radio={"loss": 0.02}, **NAV) as air:
         await air.settled(10)
@@ -100,18 +105,6 @@ async def test_commands_are_answered_within_two_rounds_while_the_fleet_streams(t
         late = sorted(outcome.elapsed_s for outcome in told)[int(0.9 * len(told))]
         assert late <= 2 * air.air()["up"]["round_s"] + 0.5
         assert sum(outcome.attempts for outcome in told) / len(told) < 1.3, "and seldom sent twice"
-
-
-@pytest.mark.deep  # ten vehicles on one radio
-async def test_a_vehicle_that_reboots_is_brought_back_to_the_plan(tmp_path: Path) -> None:
-    async with on_air(tmp_path, **NAV) as air:
-        await air.settled(2)
-        for sysid in (1, 2):
-            air.sim(sysid).faults.reboot = True
-        await asyncio.sleep(6)
-        await air.settled(2)
-        await asyncio.sleep(30)
-        assert air.rates(1) == air.rates(2) == profile_rates("nav")
 
 
 @pytest.mark.deep  # ten vehicles on one radio
@@ -158,15 +151,6 @@ async def test_flight_control_gets_its_position_as_fast_as_the_plan_has_room(tmp
         assert actor.streams.want_position(None)
         await asyncio.sleep(20)
         assert air.rates(1)[POSITION] == 2.0
-
-
-@pytest.mark.deep  # ten vehicles on one radio for a minute
-async def test_a_rate_a_person_sets_is_left_to_him(tmp_path: Path) -> None:
-    async with on_air(tmp_path, **NAV) as air:
-        await air.settled(2)
-        assert (await air.daemon.fleet.find("1").set_message_interval("VFR_HUD", 2.0)).ok
-        await asyncio.sleep(60)
-        assert air.rates(1)["VFR_HUD"] == 2.0
 
 
 async def test_the_state_tells_planned_rates_beside_measured_ones(tmp_path: Path) -> None:
@@ -252,15 +236,6 @@ async def test_how_many_are_flown_decides_whether_a_further_one_can_be(tmp_path:
 
         assert why(0) is None and why(2) is None
         assert "leaves 62 B/s to setpoints for it, and 1 Hz of 65 bytes are 65" in (why(3) or "")
-
-
-async def test_who_is_to_be_asked_for_nothing_is_left_as_it_is(tmp_path: Path) -> None:
-    async with on_air(tmp_path, px4=1, ardupilot=1, defaults={"streams": {}}) as air:
-        await asyncio.sleep(5)
-        before = [air.rates(n) for n in (1, 2)]
-        await asyncio.sleep(40)
-        assert [air.rates(n) for n in (1, 2)] == before and "VFR_HUD" in before[0]
-        assert air.channel.air is not None, "paced it is all the same"
 
 
 async def test_measured_timeslots_are_what_is_planned_with(tmp_path: Path) -> None:

@@ -14,11 +14,12 @@ import pytest
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
-from skygcs.links.memory import MemoryLink
 from skygcs.runtime.renumbering import HEARD_S, RETURN_S
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.vehicle_group import make_vehicles
+from support.daemons import memory_link
+from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown
 
 pytestmark = pytest.mark.looptime
@@ -55,8 +56,7 @@ async def fielded(tmp_path: Path, **own: Any) -> AsyncIterator[Flown]:
     )
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    air = daemon.links.link("air")
-    assert isinstance(air, MemoryLink)
+    air = memory_link(daemon, "air")
     gcs = Flown(daemon, sims, air)
     living = asyncio.create_task(gcs.live())
     try:
@@ -84,6 +84,7 @@ def reboots(gcs: Flown) -> int:
     return sum(s.name == "COMMAND_LONG" and s.values["command"] == 246 for s in gcs.sent)
 
 
+@covered_by_other_flights
 async def test_a_px4_takes_its_new_id_with_a_restart_and_keeps_its_name(tmp_path: Path) -> None:
     async with fielded(tmp_path) as gcs:
         told = await renumber(gcs, "papa", 22)
@@ -112,6 +113,7 @@ async def test_a_copter_takes_its_new_id_at_once_or_with_a_restart(
         assert (await gcs("vehicles.list", targets="all"))[1]["connected"]
 
 
+@covered_by_other_flights
 async def test_there_and_back_again(tmp_path: Path) -> None:
     async with fielded(tmp_path) as gcs:
         for sysid in (22, 1, 40):
@@ -151,6 +153,7 @@ async def test_an_armed_vehicle_keeps_its_id(tmp_path: Path) -> None:
         assert gcs.sims[0].params["MAV_SYS_ID"] == 1
 
 
+@covered_by_other_flights
 async def test_one_that_does_not_restart_says_what_to_do_and_is_found_when_somebody_did(tmp_path: Path) -> None:
     """As PX4 in SITL, which denies it."""
     async with fielded(tmp_path) as gcs:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig
+from skygcs.config.models import MemoryLinkConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
-from skygcs.links.memory import MemoryLink
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.daemons import made_daemon, memory_link, started
+from support.hosts import until
 from support.routed import DIALECT, heartbeat, message
 
 
@@ -38,39 +37,23 @@ def write_tlog(path: Path) -> None:
 @contextlib.asynccontextmanager
 async def field(tmp_path: Path) -> AsyncIterator[Daemon]:
     """A daemon with a radio, a ground station and a link of no role; vehicle 1 is live on the radio."""
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
+    daemon = made_daemon(
+        tmp_path,
         links={
             "radio": MemoryLinkConfig(name="radio", role="radio"),
             "other": MemoryLinkConfig(name="other"),
             "gcs": MemoryLinkConfig(name="gcs", role="gcs"),
         },
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
-    peer(daemon, "radio").send(heartbeat(1, seq=200))
-    await until(lambda: 1 << 8 | 1 in daemon.fleet.vehicles)
-    try:
+    async with started(daemon):
+        await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
+        peer(daemon, "radio").send(heartbeat(1, seq=200))
+        await until(lambda: 1 << 8 | 1 in daemon.fleet.vehicles)
         yield daemon
-    finally:
-        daemon.stop()
-        await task
-
-
-async def until(condition: Any) -> None:
-    for _ in range(1000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("never happened")
 
 
 def peer(daemon: Daemon, name: str) -> Any:
-    link = daemon.links.link(name)
-    assert isinstance(link, MemoryLink)
-    return link.peer
+    return memory_link(daemon, name).peer
 
 
 def got(daemon: Daemon, name: str) -> list[Frame]:

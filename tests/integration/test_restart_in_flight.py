@@ -14,7 +14,9 @@ from skygcs.cli.status import STATUS_COLUMNS, status_cells
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
+from support.examples import covered_by_other_flights
 from support.flown import Flown, Told, aloft
+from support.returning import swapped
 
 pytestmark = pytest.mark.looptime
 
@@ -34,6 +36,7 @@ async def restarted(gcs: Flown, journal: Callable[[Path], None] = lambda path: N
     return gcs.told
 
 
+@covered_by_other_flights
 @KINDS
 async def test_what_it_flew_is_held_as_soon_as_it_is_heard(tmp_path: Path, kind: dict[str, int]) -> None:
     """With our heartbeats its failsafe stayed quiet, and an ArduCopter was 30 m away after 10 s."""
@@ -52,6 +55,7 @@ async def test_what_it_flew_is_held_as_soon_as_it_is_heard(tmp_path: Path, kind:
         assert gcs.actor("v1").vehicle.connected
 
 
+@covered_by_other_flights
 async def test_what_it_did_not_fly_is_left_alone(tmp_path: Path) -> None:
     async with aloft(tmp_path, **COPTER) as gcs:
         await gcs.step(60.0, 0.0, 0.0)
@@ -87,6 +91,36 @@ async def test_one_that_is_lost_in_the_air_is_still_shown_and_in_the_way(tmp_pat
         assert "skygcs-cli forget v2" in outcome.message
 
 
+@KINDS
+async def test_one_that_waited_for_its_return_is_an_alarm_until_somebody_sends_it_home(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    """It holds by itself, and the promise to send it home died with the daemon."""
+    async with aloft(tmp_path, **{name: 2 * count for name, count in kind.items()}) as gcs:
+        await swapped(gcs)
+        ordered = asyncio.create_task(gcs("vehicles.rtl", targets="all"))
+        await gcs.until(lambda: waiting(gcs), 20.0)
+        await asyncio.sleep(1.0)
+        names = waiting(gcs)
+        ordered.cancel()
+        told = await restarted(gcs)
+        await asyncio.sleep(3.0)
+        assert [t.vehicle for t in told if "nobody sends it home now" in t.text] == names
+        assert given_up(gcs) == dict.fromkeys(names, True)
+        await gcs.daemon.fleet.orders.command_all(names[0], VehicleActor.rtl)
+        assert given_up(gcs) == {name: name != names[0] for name in names}
+
+
+def waiting(gcs: Flown) -> list[str]:
+    fleet = gcs.daemon.fleet
+    return [actor.name for actor in fleet.vehicles.values() if fleet.returns.waits(actor.vehicle.key)]
+
+
+def given_up(gcs: Flown) -> dict[str, bool]:
+    """The vehicles of which an alarm says that nobody sends them home; False: that is over."""
+    return {one["vehicle"]: one["active"] for one in gcs.daemon.alarms.all() if one["kind"] == "return"}
+
+
 async def drifting(gcs: Flown) -> None:
     """Flown by attitude in wind."""
     await gcs.fly("attitude")
@@ -105,6 +139,7 @@ def aged(path: Path) -> None:
     path.write_text(json.dumps(table))
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("journal", [spoilt, aged], ids=["it cannot be read", "the clock was set back"])
 async def test_it_is_held_whatever_became_of_the_journal(tmp_path: Path, journal: Callable[[Path], None]) -> None:
     async with aloft(tmp_path, conditions=WINDY, **COPTER) as gcs:
@@ -134,6 +169,7 @@ async def test_what_a_station_flew_through_the_daemon_is_held(tmp_path: Path) ->
         assert gcs.is_safe()
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("meanwhile", ["landed", "a pilot took it"])
 async def test_what_was_done_with_it_meanwhile_is_respected(tmp_path: Path, meanwhile: str) -> None:
     async with aloft(tmp_path, **COPTER) as gcs:

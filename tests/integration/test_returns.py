@@ -9,8 +9,10 @@ import pytest
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import GOING_HOME, Flown, aloft, flown
+from support.examples import covered_by_other_flights
+from support.flown import GOING_HOME, aloft, flown
 from support.planned import MARGIN_M, least_distance
+from support.returning import all_down, swapped
 
 COSTS = "returns of several vehicles one after another, each from its take-off to its landing"
 
@@ -18,27 +20,6 @@ pytestmark = pytest.mark.looptime
 
 WINDY = conditions_of(wind_mps=6.0)
 KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
-
-
-async def swapped(gcs: Flown) -> None:
-    """v1 and v2 each above the home of the other, by way of places beside and above that."""
-    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
-    for name, x, y, up in (
-        ("v1", a[0], -8.0, 10.0),
-        ("v2", a[0], 0.0, 10.0),
-        ("v1", b[0] + 3.0, -8.0, 10.0),
-        ("v1", b[0], 0.0, 10.0),
-    ):
-        await gcs.done("vehicles.goto", targets=name, enu_m=[x, y, up], force=True)
-        await asyncio.sleep(12.0)
-
-
-async def all_down(gcs: Flown, seconds: float = 300.0) -> None:
-    await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), seconds)
-    for sim in gcs.sims:
-        name = f"v{sim.sysid}"
-        home, place = gcs.place_of_home(name), gcs.place(name)
-        assert abs(place[0] - home[0]) < 1.5 and abs(place[1] - home[1]) < 1.5, (name, place)
 
 
 @KINDS
@@ -82,6 +63,7 @@ async def test_one_alone_and_those_in_nobodys_way_leave_at_once_as_before(tmp_pa
         await all_down(gcs)
 
 
+@covered_by_other_flights
 async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_path: Path) -> None:
     """While it waits its battery becomes critical: nothing holds it, and the other leaves when it is clear."""
     async with aloft(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
@@ -100,16 +82,11 @@ async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_pat
 
 @pytest.mark.deep
 async def test_what_waits_for_one_that_does_not_move_is_given_up_with_a_word(tmp_path: Path) -> None:
-    async with aloft(tmp_path, px4=2, conditions=WINDY) as gcs:
+    async with aloft(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
         await swapped(gcs)
-        since = gcs.now
+        since, name, other = gcs.now, "v1", "v2"
         await gcs("vehicles.rtl", targets="all")
-        # its pilot takes the first one that has left, and stays on its way
-        await gcs.until(lambda: [t for t in gcs.told if t.text == "rtl: returning to launch"], 90.0)
-        left = [t for t in gcs.told if t.text == "rtl: returning to launch"]
-        name = str(left[0].vehicle)
-        other = {"v1": "v2", "v2": "v1"}[name]
-        gcs.other_sets_mode(4, 3, sysid=int(name[1:]))  # AUTO.LOITER
+        gcs.other_sets_mode(CopterMode.LOITER)  # its pilot takes it, and stays above the other's home
         await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", other)), 150.0)
         (text,) = [t for t in gcs.texts(since, "command", other) if "does not return" in t]
         assert f"{name} stays in its way home" in text and f"skygcs-cli rtl {other}" in text
@@ -134,6 +111,7 @@ async def test_another_order_takes_one_that_waits(tmp_path: Path) -> None:
         assert gcs.is_safe(other) and gcs.sim(other).armed, "the first has landed on its home"
 
 
+@covered_by_other_flights
 async def test_preflight_asks_for_return_heights_that_differ(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False) as gcs:
         for sim, height_m in zip(gcs.sims, (15.0, 15.0, 30.0), strict=True):
@@ -147,3 +125,20 @@ async def test_preflight_asks_for_return_heights_that_differ(tmp_path: Path) -> 
             if finding["check"] == "return heights"
         }
         assert asked.keys() == {"v2"} and "RTL_ALT 2000 (20 m)" in asked["v2"], asked
+
+
+async def test_three_in_each_others_ways_come_home_apart_although_the_order_is_repeated(tmp_path: Path) -> None:
+    async with aloft(tmp_path, px4=0, ardupilot=3, conditions=WINDY) as gcs:
+        homes = [gcs.place_of_home(f"v{n}") for n in (1, 2, 3)]
+        for n, (x, _, _) in enumerate((*homes[1:], homes[0]), 1):  # each above the home of the next
+            await gcs.done("vehicles.goto", targets=f"v{n}", enu_m=[x, 12.0 * n, 10.0 + 4.0 * n], force=True)
+        await asyncio.sleep(15.0)
+        for n, (x, y, _) in enumerate((*homes[1:], homes[0]), 1):
+            await gcs.done("vehicles.goto", targets=f"v{n}", enu_m=[x, y, 10.0], force=True)
+            await asyncio.sleep(12.0)
+        since = gcs.now
+        await gcs("vehicles.rtl", targets="all")
+        await gcs.until(lambda: any(t.text.startswith("rtl: returning") for t in gcs.told), 90.0)
+        await gcs("vehicles.rtl", targets="v2,v3")
+        await all_down(gcs, 500.0)
+        assert least_distance(gcs, since)[0] > MARGIN_M

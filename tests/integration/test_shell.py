@@ -11,17 +11,18 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig
+from skygcs.config.models import SimulatedLinkConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.daemon import Daemon
 from skygcs.errors import RpcError
 from skygcs.ext.shell.extension import ShellConfig
 from skygcs.ext.shell.shell_output import MAX_OUTPUT_BYTES
-from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.client import Client, connect
 from skygcs.sim.px4_shell import VERSION, Px4Shell
 from skygcs.sim.vehicle import SimVehicle
+from support.daemons import made_daemon, simulated_link, started
+from support.examples import covered_by_other_flights
+from support.hosts import until
 from support.pymav import PymavPeer
 from support.vehicles import parsed
 
@@ -44,8 +45,7 @@ class Lab:
 
     @property
     def vehicles(self) -> list[SimVehicle]:
-        link = self.daemon.links.link("sim")
-        assert isinstance(link, SimulatedVehiclesLink)
+        link = simulated_link(self.daemon, "sim")
         return list(link.vehicles)
 
     def _noting(self, vehicle: SimVehicle) -> Callable[[Frame, float], None]:
@@ -109,29 +109,13 @@ class Lab:
 
 @contextlib.asynccontextmanager
 async def running(tmp_path: Path, **link: Any) -> AsyncIterator[Lab]:
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs"),
-        links={"sim": SimulatedLinkConfig(name="sim", px4=2, ardupilot=1, dynamics="kinematic", **link)},
-    ).model_copy(update={"extensions": {"shell": ShellConfig()}})
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: len(daemon.fleet.vehicles) == 3)
-    await asyncio.sleep(5.0)  # versions have come
-    try:
+    links = {"sim": SimulatedLinkConfig(name="sim", px4=2, ardupilot=1, dynamics="kinematic", **link)}
+    made = made_daemon(tmp_path, {"shell": ShellConfig()}, daemon={"record": True}, links=links)
+    async with started(made) as daemon:
+        await until(lambda: len(daemon.fleet.vehicles) == 3)
+        await asyncio.sleep(5.0)  # versions have come
         async with connect(tmp_path / "s") as gcs:
             yield Lab(daemon, gcs, tmp_path / "s")
-    finally:
-        daemon.stop()
-        await task
-
-
-async def until(condition: Any) -> None:
-    for _ in range(3000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("never happened")
 
 
 def decoded(frame: Frame) -> Any:
@@ -163,6 +147,7 @@ async def test_a_command_is_executed_and_its_output_comes(tmp_path: Path) -> Non
         assert texts == ["shell opened", "shell: ver all", "shell ended: closed"]
 
 
+@covered_by_other_flights
 async def test_nothing_is_sent_by_itself_and_the_table_must_be_there(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         session = await lab.open()
@@ -223,6 +208,7 @@ async def test_an_armed_vehicle_gets_nothing_unless_it_is_insisted_upon(tmp_path
         assert "Armed" in await lab.until_ready(session)
 
 
+@covered_by_other_flights
 async def test_a_line_that_arming_cuts_off_ends_the_session_and_is_never_executed(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         session = await lab.open()
@@ -258,6 +244,7 @@ async def test_other_firmware_and_other_clients_are_refused(tmp_path: Path) -> N
         await until(lambda: len(lab.daemon.extensions["shell"].status()["sessions"]) == 1)
 
 
+@covered_by_other_flights
 async def test_a_client_that_dies_leaves_no_session_and_no_shell(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         for reads in (False, True):
@@ -315,6 +302,7 @@ async def test_frames_of_others_and_bad_ones_get_nowhere(tmp_path: Path) -> None
         assert (await lab.read(session))["text"] == "good"
 
 
+@covered_by_other_flights
 async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_path: Path) -> None:
     """A command of the console could change what the flight was checked with: parameters, modes, the estimator."""
     async with running(tmp_path) as lab:
@@ -341,6 +329,7 @@ async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_
             await lab.open("v2", force=True)
 
 
+@covered_by_other_flights
 async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addressee(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         await lab.arm(2)
@@ -358,6 +347,7 @@ async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addresse
         assert lab.lines(2) == []
 
 
+@covered_by_other_flights
 async def test_a_second_read_ends_the_first_and_a_reboot_of_the_vehicle_is_survived(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         session = await lab.open()
@@ -375,6 +365,7 @@ async def test_a_second_read_ends_the_first_and_a_reboot_of_the_vehicle_is_survi
         assert "again" in await lab.until_ready(session)
 
 
+@covered_by_other_flights
 async def test_a_shell_that_does_not_greet_gets_an_enter_whatever_modules_print(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         first = await lab.open()

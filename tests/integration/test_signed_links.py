@@ -14,15 +14,15 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, SimulatedLinkConfig
+from skygcs.config.models import MemoryLinkConfig, SimulatedLinkConfig
 from skygcs.config.signing import SigningSettings
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import is_signed_with, key_id, timestamp_at, timestamp_of
 from skygcs.daemon import Daemon
 from skygcs.errors import KeyFileError, LinkError, RefusedError, RpcError
-from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
+from support.daemons import made_daemon, memory_link, started
+from support.examples import covered_by_other_flights
 from support.hosts import until
 from support.pymav import PymavPeer
 
@@ -52,28 +52,21 @@ def signing(folder: Path, **settings: Any) -> SigningSettings:
 
 @contextlib.asynccontextmanager
 async def running(tmp_path: Path, *, record: bool = False, **links: Any) -> AsyncIterator[Daemon]:
-    config = FleetConfig(
-        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=record),
+    daemon = made_daemon(
+        tmp_path,
+        daemon={"record": record},
         links={
             name: MemoryLinkConfig(name=name, **link) if isinstance(link, dict) else link
             for name, link in links.items()
         },
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    task = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
-    try:
+    async with started(daemon):
+        await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
         yield daemon
-    finally:
-        daemon.stop()
-        await task
 
 
 def wire(daemon: Daemon, name: str = "radio") -> Any:
-    link = daemon.links.link(name)
-    assert isinstance(link, MemoryLink)
-    return link.peer
+    return memory_link(daemon, name).peer
 
 
 class SignedPeer(PymavPeer):
@@ -166,6 +159,7 @@ async def test_links_of_one_group_may_carry_copies(tmp_path: Path) -> None:
         await until(lambda: counts(daemon, "spare")["replayed"] == 1)
 
 
+@covered_by_other_flights
 async def test_what_others_signed_is_forwarded_as_it_came(tmp_path: Path) -> None:
     """Signed with a key of theirs, between links without one, and from a link with a key to one without."""
     async with running(tmp_path, radio={}, keyed={"signing": signing(tmp_path)}, gcs={"role": "gcs"}) as daemon:

@@ -17,7 +17,6 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import sign, timestamp_at
@@ -28,6 +27,8 @@ from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
+from support.daemons import made_daemon
+from support.examples import covered_by_other_flights
 from support.pymav import PymavPeer
 from support.virtual_uvloop import VirtualUvloop
 
@@ -145,14 +146,11 @@ async def port(tmp_path: Path, *, signed: bool) -> AsyncIterator[Port]:
         key_file.write_text(KEY.hex())
         key_file.chmod(0o600)
         link["signing"] = {"key_file": key_file}
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "origin": {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m},
-            "links": {"udp": link},
-        }
+    daemon = made_daemon(
+        tmp_path,
+        origin={"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m},
+        links={"udp": link},
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     net = Port(daemon, KEY if signed else None)
@@ -242,6 +240,7 @@ def test_another_peer_of_the_port_changes_nothing(tmp_path: Path, name: str, sig
     on_uvloop(attack())
 
 
+@covered_by_other_flights
 @pytest.mark.parametrize("signed", [False, True], ids=["unsigned", "signed"])
 def test_an_echo_gets_no_order_before_the_vehicle_has_not_answered(tmp_path: Path, signed: bool) -> None:
     async def attack() -> None:
@@ -259,6 +258,7 @@ def test_an_echo_gets_no_order_before_the_vehicle_has_not_answered(tmp_path: Pat
     on_uvloop(attack())
 
 
+@covered_by_other_flights
 def test_a_vehicle_that_comes_back_from_another_port_is_followed(tmp_path: Path) -> None:
     async def moved() -> None:
         async with port(tmp_path, signed=False) as net:

@@ -9,6 +9,7 @@ import pytest
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.vehicle_state import Home
+from support.examples import covered_by_other_flights
 from support.flown import Flown, flown
 from support.planned import UP_M, run, state, timed
 
@@ -29,6 +30,7 @@ async def height_after(gcs: Flown, seconds: float = 30.0) -> float:
     return gcs.place()[2]
 
 
+@covered_by_other_flights
 async def test_it_counts_from_the_ground_and_not_from_home(tmp_path: Path) -> None:
     """An ArduCopter with home 10 m above it went to 15 m, with home 3 m below to 2 m."""
     async with flown(tmp_path, px4=2, ardupilot=3, takeoff=False, conditions=WINDY) as gcs:
@@ -42,6 +44,7 @@ async def test_it_counts_from_the_ground_and_not_from_home(tmp_path: Path) -> No
         assert not [t for t in gcs.told if t.kind == "takeoff"]
 
 
+@covered_by_other_flights
 @KINDS
 async def test_home_moves_between_the_order_and_the_climb(tmp_path: Path, kind: dict[str, int]) -> None:
     """By the arming, as an ArduCopter moves a home that no station set; and by a station after it has armed."""
@@ -89,6 +92,7 @@ async def test_a_range_finder_and_a_home_at_another_height_are_refused(tmp_path:
         await gcs.until(lambda: not gcs.sim().armed, 5.0)
 
 
+@covered_by_other_flights
 @KINDS
 async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: dict[str, int]) -> None:
     """1 s after the take-off it was accepted at .1 m, and flown."""
@@ -119,6 +123,7 @@ async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: d
         assert gcs.place()[2] < 6.0
 
 
+@covered_by_other_flights
 async def test_in_a_plan_too(tmp_path: Path) -> None:
     """It went to 12 m instead of 6, and the plan waited for it there."""
     async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False, conditions=WINDY) as gcs:

@@ -15,11 +15,10 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.radio_link.rtcm import RtcmDeframer, content_of, fragments_of
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle import SimVehicle
+from support.examples import covered_by_other_flights
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 from support.rtcm import rtcm_frame
-
-COSTS = "ten vehicles on one radio for a minute, in each of its tests"
 
 pytestmark = pytest.mark.looptime
 
@@ -170,6 +169,7 @@ async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_th
     assert 'links.air.third_party.param_lists = "allow"' in held
 
 
+@covered_by_other_flights
 async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_do(tmp_path: Path) -> None:
     async with field(tmp_path) as flown:
         (station,) = stations_of(flown)

@@ -12,7 +12,8 @@ import pytest
 from skygcs.core.geo import Origin
 from skygcs.errors import RefusedError
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, flown
+from support.examples import covered_by_other_flights
+from support.flown import Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
 
@@ -25,7 +26,7 @@ def leg(x_m: float, y_m: float, by_m: float, seconds: float = 10.0) -> list[dict
     """Along x, from rest to rest: 3u² - 2u³."""
     t = seconds
     return [
-        {"duration_s": t, "x": [x_m, 0.0, 3 * by_m / t**2, -2 * by_m / t**3], "y": [y_m], "up": [UP_M], "yaw": [0.0]},
+        {"duration_s": t, "x": [x_m, 0.0, 3 * by_m / t**2, -2 * by_m / t**3], "y": [y_m], "up": [UP_M], "yaw": [0.0]}
     ]
 
 
@@ -48,12 +49,13 @@ def flight(gcs: Flown, name: str = "v1") -> dict[str, Any] | None:
     return found
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
 async def test_it_is_followed_to_its_end_and_the_vehicle_stays_there(
     tmp_path: Path, kind: dict[str, int], mode: str
 ) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
         x_m, y_m = await on_its_way(gcs)
         began = gcs.now - 0.5
@@ -75,7 +77,7 @@ async def test_it_is_followed_to_its_end_and_the_vehicle_stays_there(
 
 
 async def test_pause_resume_speed_and_abort_stay_on_the_path(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("velocity")
         x_m, y_m = await on_its_way(gcs, by_m=16.0, seconds=20.0)
         await asyncio.sleep(6.0)
@@ -102,29 +104,27 @@ async def test_pause_resume_speed_and_abort_stay_on_the_path(tmp_path: Path) -> 
         assert not outcome["ok"] and "follows no trajectory" in outcome["message"]
 
 
-@pytest.mark.parametrize(
-    ("pieces", "why"),
-    [
-        (leg(3.0, 0.0, 8.0), "from the first point"),
-        (leg(0.0, 0.0, 55.0, 60.0), "the fence less 2 m of margin"),
-        (leg(0.0, 0.0, 40.0, 8.0), "its speed of 7.5 m/s is above 5"),
-        (leg(0.0, 0.0, 6.0, 3.0), "its acceleration of 4 m/s² is above 3"),
-        ([*leg(0.0, 0.0, 0.0), {"duration_s": 5.0, "x": [0, 1.0], "y": [0.0], "up": [UP_M], "yaw": [0.0]}], "jump of"),
-    ],
-)
-async def test_what_must_not_be_flown_does_not_start(tmp_path: Path, pieces: list[dict[str, Any]], why: str) -> None:
-    async with flown(tmp_path) as gcs:
+async def test_what_must_not_be_flown_does_not_start(tmp_path: Path) -> None:
+    jump = {"duration_s": 5.0, "x": [0, 1.0], "y": [0.0], "up": [UP_M], "yaw": [0.0]}
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("position")
-        await load_done(gcs, pieces=pieces)
         since = gcs.now
-        outcome = await gcs.outcome("trajectory.start")
-        assert not outcome["ok"] and why in outcome["message"], outcome
-        await asyncio.sleep(2.0)
-        assert flight(gcs) is None and gcs.farthest_m(since) < 0.3
+        for pieces, why in (
+            (leg(3.0, 0.0, 8.0), "from the first point"),
+            (leg(0.0, 0.0, 55.0, 60.0), "the fence less 2 m of margin"),
+            (leg(0.0, 0.0, 40.0, 8.0), "its speed of 7.5 m/s is above 5"),
+            (leg(0.0, 0.0, 6.0, 3.0), "its acceleration of 4 m/s² is above 3"),
+            ([*leg(0.0, 0.0, 0.0), jump], "jump of"),
+        ):
+            await load_done(gcs, pieces=pieces)
+            outcome = await gcs.outcome("trajectory.start")
+            assert not outcome["ok"] and why in outcome["message"], outcome
+            await asyncio.sleep(2.0)
+            assert flight(gcs) is None and gcs.farthest_m(since) < 0.3, why
 
 
 async def test_it_does_not_start_without_control_or_without_a_trajectory_or_raw(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         outcome = await gcs.outcome("trajectory.start")
         assert "no trajectory is loaded" in outcome["message"]
         x_m, y_m, _ = gcs.place()
@@ -136,38 +136,31 @@ async def test_it_does_not_start_without_control_or_without_a_trajectory_or_raw(
         assert not outcome["ok"] and "flown in raw" in outcome["message"]
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"pieces": []},
-        {"pieces": [{"duration_s": 0.0, "x": [0.0], "y": [0.0], "up": [1.0]}]},
-        {"pieces": [{"duration_s": 1.0, "x": [0.0] * 17, "y": [0.0], "up": [1.0]}]},
-        {"pieces": [{"duration_s": 1.0, "x": [1e300], "y": [0.0], "up": [1.0]}]},
-        {"pieces": [{"duration_s": 1.0, "x": [math.nan], "y": [0.0], "up": [1.0]}]},
-        {"pieces": [{"duration_s": 7000.0, "x": [0.0], "y": [0.0], "up": [1.0]}] * 2},
-        {"pieces": [{"duration_s": 1.0, "x": [0.0], "y": [0.0], "up": [1.0]}] * 2001},
-        {
-            "pieces": [
-                {"duration_s": 1.0, "x": [0.0], "y": [0.0], "up": [1.0], "yaw": [0.0]},
-                {"duration_s": 1.0, "x": [0.0], "y": [0.0], "up": [1.0]},
-            ]
-        },
-        {"pieces": [{"duration_s": 1.0, "x": [x], "y": [0.0], "up": [1.0]} for x in (0.0, 5.0)]},
-        {"pieces": leg(0.0, 0.0, 1.0), "name": "x" * 65},
-    ],
-)
-async def test_bad_trajectories_are_refused_and_nothing_is_kept(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    async with flown(tmp_path) as gcs:
-        with pytest.raises(Exception) as caught:
-            answer = await gcs("trajectory.load", target="v1", **wrong)
-            assert not answer["outcomes"]["v1"]["ok"], answer
-            raise ValueError
-        assert "Traceback" not in str(caught.value)
-        assert (await gcs("trajectory.status"))["trajectories"] == []
+async def test_bad_trajectories_are_refused_and_nothing_is_kept(tmp_path: Path) -> None:
+    rest: dict[str, Any] = {"duration_s": 1.0, "x": [0.0], "y": [0.0], "up": [1.0]}
+    async with flown(tmp_path, takeoff=False) as gcs:
+        for wrong in (
+            {"pieces": []},
+            {"pieces": [{**rest, "duration_s": 0.0}]},
+            {"pieces": [{**rest, "x": [0.0] * 17}]},
+            {"pieces": [{**rest, "x": [1e300]}]},
+            {"pieces": [{**rest, "x": [math.nan]}]},
+            {"pieces": [{**rest, "duration_s": 7000.0}] * 2},
+            {"pieces": [rest] * 2001},
+            {"pieces": [{**rest, "yaw": [0.0]}, rest]},
+            {"pieces": [{**rest, "x": [x]} for x in (0.0, 5.0)]},
+            {"pieces": leg(0.0, 0.0, 1.0), "name": "x" * 65},
+        ):
+            with pytest.raises(Exception) as caught:
+                answer = await gcs("trajectory.load", target="v1", **wrong)
+                assert not answer["outcomes"]["v1"]["ok"], answer
+                raise ValueError
+            assert "Traceback" not in str(caught.value)
+            assert (await gcs("trajectory.status"))["trajectories"] == [], wrong
 
 
 async def test_one_start_is_all_or_none_and_shares_a_clock(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=2) as gcs:
         for name in ("v1", "v2"):
             await gcs.fly("position", name)
         for name in ("v1", "v2"):
@@ -193,11 +186,12 @@ async def test_one_start_is_all_or_none_and_shares_a_clock(tmp_path: Path) -> No
         assert set(outcomes) == {"v1", "v2"} and all(o["ok"] for o in outcomes.values())
 
 
+@covered_by_other_flights
 @KINDS
 @pytest.mark.parametrize("order", ["land", "hold", "off", "goto", "mode_by_pilot"])
 async def test_each_way_out_stops_the_others_on_their_paths(tmp_path: Path, kind: dict[str, int], order: str) -> None:
     both = {key: 2 * count for key, count in kind.items()}
-    async with flown(tmp_path, **both) as gcs:
+    async with aloft(tmp_path, **both) as gcs:
         for name in ("v1", "v2"):
             await gcs.fly("position", name)
             x_m, y_m, _ = gcs.place(name)
@@ -230,8 +224,9 @@ async def test_each_way_out_stops_the_others_on_their_paths(tmp_path: Path, kind
         await gcs.until(lambda: gcs.texts(since, "trajectory", "v2")[-1] == "trajectory is finished", 1.0)
 
 
+@covered_by_other_flights
 async def test_a_guards_fall_to_position_goes_on_and_a_hold_ends_it(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")
         _, y_m = await on_its_way(gcs, by_m=16.0, seconds=30.0)
         gcs.uplink_delay_s = 0.3
@@ -249,7 +244,7 @@ async def test_a_guards_fall_to_position_goes_on_and_a_hold_ends_it(tmp_path: Pa
 
 
 async def test_a_stream_and_a_second_trajectory_are_refused_meanwhile(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("position")
         x_m, y_m = await on_its_way(gcs)
         outcome = await gcs.outcome("control.setpoint", pos_enu_m=[x_m, y_m, UP_M])
@@ -262,8 +257,9 @@ async def test_a_stream_and_a_second_trajectory_are_refused_meanwhile(tmp_path: 
         assert not too_fast["ok"] and "is above" in too_fast["message"]
 
 
+@covered_by_other_flights
 async def test_a_change_of_the_origin_waits_for_its_end(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("position")
         x_m, y_m = await on_its_way(gcs)
         origin = gcs.daemon.fleet.origin
@@ -280,7 +276,7 @@ async def test_a_change_of_the_origin_waits_for_its_end(tmp_path: Path) -> None:
 
 @KINDS
 async def test_sigterm_on_the_way_holds(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, **kind) as gcs:
+    async with aloft(tmp_path, **kind) as gcs:
         await gcs.fly("position")
         await on_its_way(gcs, by_m=16.0, seconds=20.0)
         await asyncio.sleep(5.0)
@@ -291,7 +287,7 @@ async def test_sigterm_on_the_way_holds(tmp_path: Path, kind: dict[str, int]) ->
 
 
 async def test_a_vehicle_lands_in_the_middle_and_nothing_of_it_remains(tmp_path: Path) -> None:
-    async with flown(tmp_path) as gcs:
+    async with aloft(tmp_path) as gcs:
         await gcs.fly("position")
         await on_its_way(gcs)
         await gcs.done("vehicles.land")

@@ -1,4 +1,4 @@
-"""`make test-lab`: names the programs that are missing, then runs what needs those that are there."""
+"""`make test-lab`: names the packages that are missing, then runs what needs those that are there."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from lab.programs import PROGRAMS, missing
+from support.system_programs import missing_lines
 
 
 def main(words: list[str]) -> int:
-    for program in missing():
-        print(f"{program} is not installed, and its tests are left out: apt-get install {PROGRAMS[program]}")
-    return subprocess.call([sys.executable, "-m", "pytest", str(Path(__file__).parent), *words])
+    for line in missing_lines("test-lab"):
+        print(f"its tests are left out: {line}")
+    beside = "-n", "2", "--dist", "loadfile"  # a file's tests share their servers; most of it is waiting
+    return subprocess.call([sys.executable, "-m", "pytest", str(Path(__file__).parent), *beside, *words])
 
 
 if __name__ == "__main__":

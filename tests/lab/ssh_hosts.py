@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from lab.programs import needs
+from support.needed import needs
 from support.process import free_port, wait_until
 
 SYSTEMCTL = """#!/bin/sh
@@ -98,7 +98,9 @@ class SshHost:
             f"SetEnv HOME={self.home} XDG_RUNTIME_DIR={self.runtime} XDG_CONFIG_HOME={self.home}/.config PATH={path}\n"
         )
         with (self.folder / "sshd.log").open("ab") as log:
-            self._sshd = subprocess.Popen([needs("sshd"), "-D", "-e", "-f", str(config)], stdout=log, stderr=log)
+            self._sshd = subprocess.Popen(
+                [needs("test-lab", "sshd"), "-D", "-e", "-f", str(config)], stdout=log, stderr=log
+            )
         wait_until(lambda: self._answers() or self._ended(), f"sshd of {self.name} answers")
         return not self._ended()
 

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 
-from lab.programs import needs
 from lab.test_prometheus import printed
 from skygcs.errors import SkygcsError
 from skygcs.ext.federation.server_program import find_server
 from support.fake_daemon import FakeDaemon
 from support.federated import site
 from support.hub import Hub, until
+from support.needed import needs
 from support.process import free_port
 
 INTERVAL = "1s"
@@ -42,7 +42,7 @@ class Prometheus:
         (folder / "prometheus.yml").write_text(CONFIG.format(interval=INTERVAL, port=port))
         (folder / "rules.yml").write_bytes(printed("rules"))
         words = [
-            needs("prometheus"),
+            needs("test-lab", "prometheus"),
             "--config.file=prometheus.yml",
             "--storage.tsdb.path=data",
             f"--web.listen-address=127.0.0.1:{self.web}",
@@ -80,7 +80,7 @@ async def test_prometheus_has_the_numbers_of_a_bridge_and_the_alerts(tmp_path: P
         find_server()
     except SkygcsError as error:
         pytest.skip(str(error))
-    needs("prometheus")
+    needs("test-lab", "prometheus")
     hub = Hub(tmp_path)
     await hub.start()
     south = FakeDaemon(3)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from lab.programs import needs
 from support.caster import Caster, streams
 from support.corrections_bench import CorrectionsBench
+from support.needed import needs
 from support.process import free_port
 from support.rtcm import STANDARD_1005, rtcm_frame
 
@@ -28,7 +28,7 @@ EPOCHS = [epoch_of(second) for second in range(60)]
 @contextlib.asynccontextmanager
 async def str2str(*words: str) -> AsyncIterator[None]:
     program = await asyncio.create_subprocess_exec(
-        needs("str2str"), *words, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL
+        needs("test-lab", "str2str"), *words, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL
     )
     try:
         yield

@@ -19,11 +19,11 @@ from typing import Any
 
 import pytest
 
-from lab.programs import needs
 from lab.ssh_hosts import SshHost, make_key, prepare_sshd, short_folder, small_disk
 from skygcs import __version__
 from skygcs.ext.companions.bring_up.bundle import Bundle, read_bundle
 from skygcs.ext.companions.bring_up.ssh_session import UPLOAD_BYTES
+from support.needed import needs
 
 pytestmark = pytest.mark.timeout(1200)
 
@@ -101,7 +101,7 @@ class Ground:
 
 @pytest.fixture
 def ground() -> Iterator[Ground]:
-    needs("sshd")
+    needs("test-lab", "sshd")
     prepare_sshd()
     with short_folder() as folder, small_disk(folder / "full", 1024) as mounted:
         make_key(folder / "id")

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from lab.programs import needs
 from lab.ssh_hosts import SshHost, install_programs, make_key, prepare_sshd, short_folder, small_disk
 from skygcs.cli.service import Installation, unit_text
+from support.needed import needs
 from support.process import free_port, wait_until
 
 pytestmark = pytest.mark.timeout(1200)
@@ -110,7 +110,7 @@ class Fleet:
 
 @pytest.fixture(scope="module")
 def fleet() -> Iterator[Fleet]:
-    needs("sshd")
+    needs("test-lab", "sshd")
     prepare_sshd()
     with short_folder() as folder, small_disk(folder / "full", 1024) as mounted:
         fleet = Fleet(folder, folder / "full")

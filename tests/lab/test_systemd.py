@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from lab.programs import needs
 from skygcs.cli.service import Installation, unit_text
+from support.needed import needs
 
 MOST_EXPOSURE = 3.0
 
@@ -29,7 +29,7 @@ def unit(folder: Path, user_name: str | None) -> Path:
 
 @pytest.mark.parametrize("user_name", ["root", None])
 def test_systemd_reads_the_unit_without_a_complaint(user_name: str | None, tmp_path: Path) -> None:
-    words = [needs("systemd-analyze"), "verify", "--man=no", *(["--user"] if user_name is None else [])]
+    words = [needs("test-lab", "systemd-analyze"), "verify", "--man=no", *(["--user"] if user_name is None else [])]
     done = subprocess.run([*words, str(unit(tmp_path, user_name))], capture_output=True, text=True)
     complaints = [line for line in done.stderr.splitlines() if "skygcs" in line]
     assert complaints == [], done.stderr
@@ -37,7 +37,7 @@ def test_systemd_reads_the_unit_without_a_complaint(user_name: str | None, tmp_p
 
 def test_the_machine_s_unit_exposes_little(tmp_path: Path) -> None:
     path = unit(tmp_path, "pilot")
-    words = [needs("systemd-analyze"), "security", "--offline=true", "--no-pager", "--json=short"]
+    words = [needs("test-lab", "systemd-analyze"), "security", "--offline=true", "--no-pager", "--json=short"]
     done = subprocess.run([*words, str(path)], capture_output=True, text=True)
     if done.returncode:
         raise AssertionError(done.stderr)

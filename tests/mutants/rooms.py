@@ -20,17 +20,24 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "core/routing/test_routing_bound.py",
             "core/routing/test_routing_cases.py",
             "core/routing/test_routing_state.py",
-            "core/routing/test_table_room.py",
+            "core/routing/test_routing_table.py",
+            "core/routing/test_heard_directly.py",
+        ),
+        "core/routing/routing_table.py": (
+            "core/routing/test_routing.py",
+            "core/routing/test_routing_table.py",
             "core/routing/test_heard_directly.py",
         ),
     },
     "state-sources": {
+        "core/routing/source_selection.py": ("core/routing/test_routing_state.py", "core/routing/test_routing.py"),
         "core/routing/state_source.py": ("core/routing/test_state_source.py",),
         "core/vehicle/flight_evidence.py": (
             "core/vehicle/test_flight_evidence.py",
             "core/vehicle/test_landing_watch.py",
         ),
     },
+    "takeoff": {"core/vehicle/takeoff_watch.py": ("core/vehicle/test_takeoff_watch.py",)},
     "guard": {"core/control/guard.py": ("core/control/test_guard.py",)},
     "order-gate": {"ext/federation/protocol/order_gate.py": ("ext/federation/protocol/test_order_gate.py",)},
     "outgoing-gate": {

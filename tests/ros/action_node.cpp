@@ -100,7 +100,9 @@ public:
   bool result(Result& response, double timeout_s = 180) {
     Asked request;
     request.goal_id().uuid(id);
-    bool answered = results.call(request, response, timeout_s);
+    results.ask(request);
+    std::printf("asked\n");
+    bool answered = results.wait(response, timeout_s);
     for (double until = now_s() + 5; answered && status != response.status() && now_s() < until;) pause_s(0.02);
     std::printf("status %d %d\n", answered ? response.status() : -1, static_cast<int>(status));
     return answered;

@@ -102,9 +102,17 @@ public:
   }
 
   bool call(Request request, Response& response, double timeout_s = 30) {
-    request.client_guid(id);
-    request.sequence_number(++sequence);
-    requests->write(&request);
+    write(request);
+    return wait(response, timeout_s);
+  }
+
+  // The server's DDS has received the request when this returns.
+  void ask(Request& request) {
+    write(request);
+    requests->wait_for_acknowledgments({30, 0});
+  }
+
+  bool wait(Response& response, double timeout_s) {
     for (double until = now_s() + timeout_s; now_s() < until; pause_s(0.02)) {
       std::lock_guard<std::mutex> lock(mutex);
       if (responses.count(sequence)) {
@@ -116,6 +124,12 @@ public:
   }
 
 private:
+  void write(Request& request) {
+    request.client_guid(id);
+    request.sequence_number(++sequence);
+    requests->write(&request);
+  }
+
   DataWriter* requests;
   std::mutex mutex;
   std::map<int64_t, Response> responses;

@@ -14,13 +14,14 @@ import pytest
 from ros.bridge_graph import graph_of
 from ros.conftest import VEHICLES, RosFleet
 from ros.every_topic import EveryTopicNode, Message
-from ros.programs import needs
 from skygcs.core.ros.interfaces import ros2_interfaces
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES, PX4_TELEMETRY
 from skygcs.core.ros.ros_names import ros_name
 from skygcs.core.ros.topics import SOURCES, TELEMETRY
 from skygcs.ext.ros.config import RosConfig
+from support.needed import needs
 from support.process import wait_until
+from support.system_programs import FAST_DDS
 
 PX4 = ("alpha", "bravo")
 AUTOPILOTS = {"alpha": (1, "px4"), "bravo": (2, "px4"), "charlie": (3, "ardupilot")}
@@ -35,7 +36,7 @@ pytestmark = pytest.mark.timeout(1200)
 
 @pytest.fixture(scope="module")
 def node(fleet: RosFleet, tmp_path_factory: pytest.TempPathFactory) -> Iterator[EveryTopicNode]:
-    needs("g++", "libfastrtps-dev")
+    needs("test-ros", *FAST_DDS)
     graph = asyncio.run(graph_of(RosConfig(commands="all", px4_msgs="1.16"), AUTOPILOTS))
     with EveryTopicNode(tmp_path_factory.mktemp("node"), fleet.domain, ros2_interfaces("1.16"), graph) as running:
         running.wait_for_the_bridge(fleet)

@@ -10,8 +10,9 @@ import pytest
 
 from ros.conftest import VEHICLES, RosFleet
 from ros.fast_dds import built
-from ros.programs import needs
+from support.needed import needs
 from support.process import wait_until
+from support.system_programs import FAST_DDS
 
 FLIGHT_S = 600
 """A flight takes half a minute; the machine may be slow."""
@@ -19,7 +20,7 @@ FLIGHT_S = 600
 
 @pytest.fixture(scope="module")
 def program() -> Path:
-    needs("g++", "fastddsgen", "libfastrtps-dev")
+    needs("test-ros", *FAST_DDS)
     return built("offboard_node")
 
 

@@ -11,8 +11,9 @@ import pytest
 
 from ros.conftest import VEHICLES, RosFleet
 from ros.fast_dds import built
-from ros.programs import needs
+from support.needed import needs
 from support.process import wait_until
+from support.system_programs import FAST_DDS
 
 FLIGHT_S = 600
 """A flight takes half a minute; the machine may be slow."""
@@ -22,7 +23,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 @pytest.fixture(scope="module")
 def program() -> Path:
-    needs("g++", "fastddsgen", "libfastrtps-dev")
+    needs("test-ros", *FAST_DDS)
     return built("action_node")
 
 
@@ -93,9 +94,11 @@ def test_a_goal_is_aborted_at_once_when_the_daemon_is_killed(program: Path, tmp_
         line = [str(program), str(fleet.domain), "goto", "/alpha", str(x + 40), str(y), "6"]
         with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as client:
             assert client.stdout is not None
-            for text in client.stdout:
-                if text.startswith("first "):
-                    break
+            seen = set[str]()
+            while not seen >= {"first", "asked"}:  # it flies, and the client waits for the result
+                text = client.stdout.readline()
+                assert text
+                seen.add(text.split()[0])
             fleet.kill()
             killed_at = time.monotonic()
             said = client.stdout.readline(), time.monotonic() - killed_at

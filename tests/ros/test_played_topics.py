@@ -14,16 +14,17 @@ import pytest
 from ros.bridge_graph import graph_of
 from ros.every_topic import EveryTopicNode
 from ros.played_vehicle import PX4, VEHICLES, PlayedFleet
-from ros.programs import needs
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.ros.interfaces import ros2_interfaces
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES, PX4_TELEMETRY
 from skygcs.core.ros.topics import SOURCES, TELEMETRY
 from skygcs.ext.ros.config import RosConfig
+from support.needed import needs
 from support.process import wait_until
 from support.pymav import UdpPeer
 from support.pymav_filled import filled
+from support.system_programs import FAST_DDS
 
 REPLACING = ("SCALED_IMU", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED_COV", "HIGHRES_IMU")
 """They take the place of others, so they are sent last."""
@@ -62,7 +63,7 @@ class Played(PlayedFleet):
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Played, EveryTopicNode]]:
-    needs("g++", "libfastrtps-dev")
+    needs("test-ros", *FAST_DDS)
     fleet = Played(tmp_path_factory.mktemp("played"), "none")
     vehicles = {name: (n, "px4" if kind == PX4 else "ardupilot") for n, (name, kind) in enumerate(VEHICLES.items(), 1)}
     graph = asyncio.run(graph_of(RosConfig(px4_msgs="1.16"), vehicles))

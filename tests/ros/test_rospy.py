@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from ros.conftest import FLEET, VEHICLES, RosFleet
-from ros.programs import ROS1, needs
 from ros.rosmaster import Master
 from skygcs.core.ros.interfaces import ros1_interfaces
 from skygcs.core.ros.ros1 import RULE, ros1_name, ros1_type, service_md5, service_parts
@@ -18,7 +17,9 @@ from skygcs.core.ros.services import ROS1_SERVICES
 from skygcs.core.ros.setpoints import SETPOINTS
 from skygcs.core.ros.shared_topics import SHARED
 from skygcs.core.ros.topics import TELEMETRY
+from support.needed import needs
 from support.process import DaemonProcess, wait_until
+from support.system_programs import ROS1
 
 
 class Ros1Fleet(RosFleet):
@@ -41,7 +42,7 @@ class Ros1Fleet(RosFleet):
 
 @pytest.fixture(scope="module")
 def master(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Master]:
-    needs(*ROS1)
+    needs("test-ros", *ROS1)
     made = Master(tmp_path_factory.mktemp("master"))
     made.start()
     yield made

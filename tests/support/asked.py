@@ -12,14 +12,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
 from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
-from skygcs.links.memory import MemoryLink
 from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.sessions import Session, Sessions
+from support.daemons import made_daemon, memory_link, started
 from support.hosts import until
 from support.pymav import PymavPeer
 from support.virtual_asyncio import VirtualAsyncio
@@ -105,8 +103,7 @@ class Asked:
 
     def send(self, data: bytes) -> None:
         """From the vehicle's end of the link."""
-        link = self.daemon.links.link("air")
-        assert isinstance(link, MemoryLink)
+        link = memory_link(self.daemon, "air")
         link.peer.send(data)
 
     def beat(self, *, armed: bool = False) -> None:
@@ -126,20 +123,12 @@ class Asked:
 @contextlib.asynccontextmanager
 async def asked(folder: Path, **tables: Mapping[str, Any]) -> AsyncIterator[Asked]:
     """A daemon with one ArduCopter that answers nothing. ``tables`` of the fleet file."""
-    own = {"socket": folder / "s", "log_dir": folder / "logs", "record": False, **tables.pop("daemon", {})}
     links = {"air": {"type": "memory"}, **tables.pop("links", {})}
-    config = FleetConfig.model_validate({"daemon": own, "links": links, **tables})
-    daemon = Daemon(config, load_dialect(config.dialect))
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    gcs = Asked(daemon)
-    try:
+    async with started(made_daemon(folder, links=links, **tables)) as daemon:
+        gcs = Asked(daemon)
         await gcs.live(1.0)
         yield gcs
         await gcs.close()
-    finally:
-        daemon.stop()
-        await running
 
 
 def virtual_loop() -> asyncio.AbstractEventLoop:

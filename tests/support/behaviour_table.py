@@ -16,12 +16,16 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulated-firmware.md
 
 INTRODUCTION = """# What the simulated firmwares do
 
-Every value that the simulated vehicles take from a firmware, with the place in its source that it was read from
-(`skygcs.sim.behaviours`; this page is made from it). "measured": flown with that firmware's own simulator. A value in
-brackets is what the simulator does instead. `tests/unit/sim/test_behaviours.py` flies the simulator against this table,
-`make test-firmware` flies real firmware against it.
+Every value that the simulated vehicles take from a firmware. `skygcs.sim.behaviours`, of which this page is made, has
+the place in the firmware's source beside each, and whether it was measured with that firmware's own simulator; result
+codes, gains and lists of numbers are there alone. A value in brackets is what the simulator does instead.
+`tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real firmware.
 
 """
+
+
+BY_THE_MODULE_ALONE = {"modes", "answers", "climb_accel", "brake", "crash", "control_gains", "home_follows"}
+"""Fields whose numbers say nothing without their docstrings; modes have tables of their own."""
 
 
 def words(value: Any) -> str:
@@ -35,14 +39,14 @@ def words(value: Any) -> str:
         return f"asks again after {value.retry_s:g} s, gives up after {value.give_up_s:g} s; {kept}"
     if is_dataclass(value) and not isinstance(value, type):
         return ", ".join(f"{name} {words(part)}" for name, part in asdict(value).items())
-    if isinstance(value, Mapping) and value and all(isinstance(rule, ModeRule) for rule in value.values()):
-        return "see below"
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {words(part)}" for name, part in value.items())
     if isinstance(value, tuple):
         return ", ".join(words(part) for part in value)
     if isinstance(value, Enum):
         return str(value.value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return f"{value:g}" if isinstance(value, float) else str(value) if value not in (None, "") else "-"
 
 
@@ -57,25 +61,30 @@ def cell(fact: Fact[Any]) -> str:
 
 
 def modes(of: Fact[dict[int, ModeRule]], names: type[CopterMode] | type[Px4Mode]) -> list[str]:
-    lines = ["| mode | armed in | needs | by DO_SET_MODE |", "| --- | --- | --- | --- |"]
+    """Modes of one kind are one row."""
+    alike: dict[str, list[str]] = {}
     for number, rule in of.value.items():
         needs = [name for name, needed in (("position", rule.position), ("sticks", rule.sticks)) if needed]
         entered = "yes" if rule.by_command else "no"
         arms = "yes" if rule.arms else "no"
-        lines.append(f"| {names(number).name} | {arms} | {', '.join(needs) or '-'} | {entered} |")
-    return lines
+        alike.setdefault(f"{arms} | {', '.join(needs) or '-'} | {entered}", []).append(names(number).name)
+    rows = [f"| {', '.join(found)} | {cells} |" for cells, found in alike.items()]
+    return ["| mode | armed in | needs | by DO_SET_MODE |", "| --- | --- | --- | --- |", *rows]
 
 
 def table() -> str:
-    lines: list[str] = []
-    for firmware in (PX4, COPTER):
-        lines += [f"## {firmware.name} {firmware.version}", "", "| behaviour | value | source |", "| --- | --- | --- |"]
-        for field in fields(firmware):
-            fact = getattr(firmware, field.name)
-            if isinstance(fact, Fact):
-                lines.append(f"| {in_words(field.name)} | {cell(fact)} | {fact.source} |")
-        lines += ["", *modes(firmware.modes, Px4Mode if firmware is PX4 else CopterMode), ""]
-    return "\n".join(lines)
+    """Both firmwares side by side, then the modes of each."""
+    both = (PX4, COPTER)
+    names = [f"{firmware.name} {firmware.version}" for firmware in both]
+    lines = [f"| behaviour | {' | '.join(names)} |", "| --- | --- | --- |"]
+    for field in fields(PX4):
+        facts = [getattr(firmware, field.name) for firmware in both]
+        if field.name not in BY_THE_MODULE_ALONE and all(isinstance(fact, Fact) for fact in facts):
+            lines.append(f"| {in_words(field.name)} | {' | '.join(map(cell, facts))} |")
+    for firmware, name in zip(both, names, strict=True):
+        lines += ["", f"## Modes of {name}", ""]
+        lines += modes(firmware.modes, Px4Mode if firmware is PX4 else CopterMode)
+    return "\n".join([*lines, ""])
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
 from skygcs.rpc.dispatch import REFUSED
 from support.called import call
+from support.daemons import memory_link
 from support.flown import FIELD, Flown, Told, aloft, let_its_disk_finish
 
 
@@ -145,8 +146,7 @@ class Pair:
     async def lose_ground(self) -> None:
         """SIGKILL to the ground's daemon: nothing of it is sent or answered any more."""
         self.calls.up = False
-        wifi = self.ground.links.link("wifi")
-        assert isinstance(wifi, MemoryLink)
+        wifi = memory_link(self.ground, "wifi")
         wifi.peer.on_bytes = None
         self.ground_running.cancel()
         await asyncio.gather(self.ground_running, return_exceptions=True)
@@ -155,8 +155,7 @@ class Pair:
         """Another daemon of the ground, with the same file and folder."""
         before = self.ground
         for link in ("wifi", "radio"):
-            kept = before.links.link(link)
-            assert isinstance(kept, MemoryLink)
+            kept = memory_link(before, link)
             kept.peer.on_bytes = None
         let_its_disk_finish(before)
         self.ground = Daemon(before.config, load_dialect(before.config.dialect))
@@ -221,9 +220,7 @@ async def companion_pair(
     that the ground has ordered. ``radio``: the ground has another link "radio", straight to the vehicle. ``companion``:
     keys of [companion]. ``streams``: Hz of messages by the ground's file and by the companion's, beside their defaults.
     ``vehicle``: see `flown`."""
-    tables = {
-        "vehicles": {"v1": {"sysid": 1, "streams": {**DEFAULT_RATES_HZ, **streams[1]}}},
-    }
+    tables = {"vehicles": {"v1": {"sysid": 1, "streams": {**DEFAULT_RATES_HZ, **streams[1]}}}}
     table = CompanionConfig.model_validate({"vehicle": "v1", "ground": "udp:127.0.0.1:9", **(companion or {})})
 
     def with_our_ground_link(config: FleetConfig) -> FleetConfig:
@@ -263,8 +260,7 @@ async def companion_pair(
             assert not faults, faults
         finally:
             for daemon, link in ((pair.ground, "wifi"), (pi.daemon, GROUND_LINK)):
-                end = daemon.links.link(link)
-                assert isinstance(end, MemoryLink)
+                end = memory_link(daemon, link)
                 end.peer.on_bytes = None
             pair.ground.stop()
             await asyncio.gather(pair.ground_running, return_exceptions=True)
@@ -281,8 +277,7 @@ def _join(ground: Daemon, calls: CallsByMemory) -> None:
 
 def _open_radio(pair: Pair) -> None:
     """The vehicle's frames come to the ground and the ground's to the vehicle, beside the companion."""
-    link = pair.ground.links.link("radio")
-    assert isinstance(link, MemoryLink)
+    link = memory_link(pair.ground, "radio")
     parser = FrameParser(pair.pi.sims[0].dialect)
 
     def to_vehicle(raw: bytes) -> None:

@@ -6,22 +6,17 @@ As a process, for the command line: python -m support.controlled SOCKET
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from typer.testing import CliRunner, Result
-
-from skygcs.cli.main import app
 from skygcs.core.geo import Origin
 from skygcs.rpc.server import RpcServer
+from support.command_line import Served
 from support.fake_daemon import NAMES, FakeDaemon, FakeFleet, FakeOutcome, FakeVehicle
 
 TAKEN = FakeOutcome(True, "accepted", "taken", attempts=0, elapsed_s=0.0)
@@ -95,10 +90,7 @@ class ControlledVehicle(FakeVehicle):
         """As much of it as planning asks for."""
         place = None if self.no_frame else self.position_m
         return SimpleNamespace(
-            replayed=False,
-            enu_m=lambda: place,
-            telemetry_at=lambda _: time.monotonic(),
-            in_air=lambda now: True,
+            replayed=False, enu_m=lambda: place, telemetry_at=lambda _: time.monotonic(), in_air=lambda now: True
         )
 
     async def goto(self, **place: Any) -> FakeOutcome:
@@ -161,54 +153,18 @@ class ControlledFleet(FakeFleet):
         return {v.name: v.take({k: x for k, x in setpoint.items() if x is not None}) for v in vehicles}
 
 
-class Commanded:
-    """The daemon, served on a loop of its own thread, and the command line in this one."""
+class Commanded(Served[FakeDaemon]):
+    """Its three vehicles are under control."""
 
     def __init__(self, folder: Path) -> None:
-        self.socket = folder / "s.sock"
-        self.daemon = FakeDaemon()
+        daemon = FakeDaemon()
         self.vehicles = {name: ControlledVehicle(i, name) for i, name in enumerate(NAMES, 1)}
-        self.daemon.fleet = ControlledFleet(list(self.vehicles.values()))
-        self.loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self.loop.run_forever)
-        self._thread.start()
-        self._server = RpcServer(self.daemon, self.socket)
-        self._do(self._server.start())
-
-    def _do(self, coroutine: Any) -> None:
-        asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(10)
+        daemon.fleet = ControlledFleet(list(self.vehicles.values()))
+        super().__init__(folder, daemon)
 
     def stop_soon(self) -> None:
         """For a vehicle to end its daemon in mid-stream."""
-        self.loop.call_soon(lambda: asyncio.ensure_future(self._server.close()))
-
-    def close(self) -> None:
-        self._do(self._server.close())
-        self.loop.call_soon_threadsafe(self.loop.stop)
-        self._thread.join()
-        self.loop.close()
-
-    def run(self, *args: str, code: int = 0) -> str:
-        """stdout and stderr of a command that must exit with ``code``."""
-        return self._invoke(args, code).output
-
-    def json(self, *args: str, code: int = 0) -> Any:
-        return json.loads(self._invoke((*args, "--json"), code).stdout)
-
-    def _invoke(self, args: Sequence[str], code: int) -> Result:
-        result = CliRunner().invoke(app, ["--socket", str(self.socket), *args])
-        assert result.exit_code == code, result.output + repr(result.exception)
-        assert "Traceback" not in result.output
-        return result
-
-
-@contextmanager
-def commanded(folder: Path) -> Iterator[Commanded]:
-    fleet = Commanded(folder)
-    try:
-        yield fleet
-    finally:
-        fleet.close()
+        self.loop.call_soon(lambda: asyncio.ensure_future(self.server.close()))
 
 
 async def serve(path: str) -> None:

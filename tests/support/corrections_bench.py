@@ -28,11 +28,12 @@ class CorrectionsBench:
         hub: Any = SimpleNamespace(dialect=dialect(), channels={}, channels_to=lambda *_: (1,), send=self._send)
         self.feed = CorrectionFeed(hub, SimpleNamespace(vehicles={}), self.clock)  # type: ignore[arg-type]
         self.events: list[Event] = []
+        self.asleep: Callable[[], bool] = lambda: False
         if self.config.serial is None:
             self.source: Any = CasterSource(self.config, place, self.clock)
         else:
             self.source = ReceiverSource(self.config, self.clock)
-        self.feeder = Feeder(self.source, self.feed, self.clock, self.events.append)
+        self.feeder = Feeder(self.source, self.feed, self.clock, self.events.append, lambda: self.asleep())
 
     def _send(self, info: Any, values: Any, *_: Any, **__: Any) -> bool:
         self.sent += bytes(values["data"])[: values["len"]]

@@ -17,7 +17,7 @@ from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import MotionLimits
 from skygcs.errors import SkygcsError
 from support.called import plans_of
-from support.flown import Flown, flown
+from support.flown import Flown, aloft
 from support.planned import content, inline, instant_planning, phased, plan_events, state, timed
 
 OVER = ("finished", "stopped", "aborted", "landed")
@@ -254,7 +254,7 @@ async def judge(seed: int, folder: Path, plans: int = PLANS_OF_ONE) -> Judged:
     """Plans of one daemon, with two or three vehicles of both firmwares."""
     rng = random.Random(seed)
     px4, ardupilot = rng.choice([(1, 1), (2, 0), (0, 2), (2, 1), (1, 2)])
-    async with flown(folder, px4=px4, ardupilot=ardupilot) as gcs:
+    async with aloft(folder, px4=px4, ardupilot=ardupilot) as gcs:
         instant_planning(gcs.daemon)
         run = RandomPlans(gcs, seed)
         for _ in range(plans):

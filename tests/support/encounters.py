@@ -19,7 +19,7 @@ from typing import Any
 from skygcs.core.monitor.monitor import Monitor
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.sim.conditions import Conditions, Dynamics
-from support.flown import Flown, Vector, flown
+from support.flown import Flown, Vector, aloft
 
 MARGIN = pair_margin(Footprint(), Footprint())
 
@@ -257,7 +257,7 @@ HELD_BEFORE_S = 6.0
 async def arena(tmp_path: Path, mode: str) -> AsyncIterator[Arena]:
     """Two vehicles in the air before a daemon with a monitor of this mode."""
     exact = Conditions(dynamics=Dynamics.KINEMATIC)
-    async with flown(
+    async with aloft(
         tmp_path, px4=1, ardupilot=1, height_m=HEIGHT_M, conditions=exact, tables={"monitor": {"mode": mode}}
     ) as gcs:
         yield Arena(gcs)

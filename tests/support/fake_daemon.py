@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -46,8 +46,9 @@ from skygcs.runtime.fleet_orders import Order, Reports, Unreported
 NAMES = ("alpha", "bravo", "carol")
 
 
+@cache
 def common_dialect() -> Dialect:
-    """Cached in the temporary directory, not in the user's cache."""
+    """Read once for all fake daemons; cached in the temporary directory, not in the user's cache."""
     return load_dialect("common", cache_dir=Path(tempfile.gettempdir()) / "skygcs-test-dialects")
 
 
@@ -448,6 +449,13 @@ class FakeTurns:
         return False
 
 
+class Awake:
+    """A process that never stands still."""
+
+    def check(self) -> bool:
+        return False
+
+
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
@@ -467,6 +475,7 @@ class FakeFleet:
         self.origin_asked: list[tuple[Any, ...]] = []
         self.preflight_asked: list[tuple[bool, Any]] = []
         self.preflight_told: dict[str, dict[str, Any]] = {}
+        self.sleep = Awake()
 
     def companion_of(self, _: FakeVehicle) -> None:
         return None

@@ -240,7 +240,7 @@ class Station:
             "events": self.events,
             "faults": self.hub.faults,
             "counters": self.hub.router.counters,
-            "routes": self.hub.router.routes(),
+            "routes": self.hub.router.table.routes(),
             "channels": [(c.id, c.counters(), c.last_rx_at) for c in self.hub.channels.values()],
             "sources": [{k: s.as_dict(now) for k, s in c.sources.items()} for c in self.hub.channels.values()],
             "links": [link.counters() for link in self.links],

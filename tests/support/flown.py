@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
@@ -35,6 +36,7 @@ from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
 from support.called import call
+from support.daemons import made_daemon, memory_link
 from support.examples import is_deep
 from support.pymav import PymavPeer
 from support.sim_pilot import int_param
@@ -58,6 +60,12 @@ converged (7 s and a fifth more), and their home is on the ground."""
 
 SPOOLED_UP_S = 10.0
 """Its motors have run for so long."""
+
+ASKS_S = 2.0
+"""The daemon has by then asked a new vehicle for what it wants to know of it."""
+
+SEEN_S = 2.0
+"""The daemon has by then heard that a vehicle that was put into the air flies: its heartbeats come once a second."""
 
 HOLDING = frozenset({Px4Mode.LOITER, CopterMode.BRAKE, CopterMode.LOITER, CopterMode.GUIDED})
 GOING_HOME = frozenset({Px4Mode.RTL, Px4Mode.LAND, CopterMode.RTL, CopterMode.LAND})
@@ -170,6 +178,22 @@ class Flown:
         here = self.actor(name).vehicle.enu_m()
         assert here is not None
         await self.done("vehicles.goto", targets=name, enu_m=[a + b for a, b in zip(here, by_m, strict=True)])
+
+    async def in_mid_step(self, mode: str) -> Vector:
+        """v1 flies 3 m east in this way, and has been at it for a second; where it began."""
+        await self.fly(mode)
+        start = self.place()
+        await self.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        return start
+
+    async def steps_exactly(self, within_s: float) -> Vector:
+        """v1 flies 3 m east, and is there after this time; where it began."""
+        start = self.place()
+        await self.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(within_s)
+        assert self.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.2)
+        return start
 
     def actor(self, name: str = "v1") -> VehicleActor:
         return self.daemon.fleet.find(name)
@@ -337,11 +361,11 @@ class Flown:
 
     def _record(self) -> None:
         hub = self.daemon.hub
-        before = hub.on_sent
+        before, parser = hub.on_sent, FrameParser(self.daemon.dialect)
 
         def on_sent(channel: Channel, message: OwnMessage, raw: bytes) -> None:
             before(channel, message, raw)
-            for frame in FrameParser(self.daemon.dialect).feed_datagram(raw):
+            for frame in parser.feed_datagram(raw):
                 values = frame.fields()
                 sysid = values.get("target_system")
                 actor = self.daemon.fleet.vehicles.get((sysid or 0) << 8 | 1)
@@ -364,10 +388,12 @@ def let_its_disk_finish(daemon: Daemon) -> None:
 
 def _put_up(sim: SimVehicle, height_m: float, now: float) -> None:
     """Armed, hovering, in the mode in which a take-off leaves it."""
-    assert isinstance(sim.motion, Quad)
     sim.arm(now)
     sim.armed_at = now - SPOOLED_UP_S
-    sim.motion.place(0.0, 0.0, height_m)
+    if isinstance(sim.motion, Quad):
+        sim.motion.place(0.0, 0.0, height_m)
+    else:  # without forces: it is where it is put
+        sim.motion.up_m = height_m
     sim.landed, sim.flown_since_arming = False, True
     sim.mode = Px4Mode.LOITER if sim.autopilot == mav.MAV_AUTOPILOT_PX4 else CopterMode.GUIDED
     sim.hold_here()
@@ -400,19 +426,15 @@ async def flown(
     ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground. ``in_air``:
     they were brought there by the test, without an order. ``setpoints_end``: see that none is sent after control has
     ended. ``prepared``: what the daemon runs of the fleet file. The wall clock goes with virtual time."""
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
+    loop = asyncio.get_running_loop()
+    with mock.patch("time.time", lambda: UNIX_S + loop.time()):
+        own = {
+            "daemon": settings or {},
             "origin": {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m},
             "links": {"air": {"type": "memory", "role": "radio", "delay_s": delay_s}, **(links or {})},
             "defaults": {"control": dict(control or {})},
-            **(tables or {}),
         }
-    )
-    config = prepared(config)
-    loop = asyncio.get_running_loop()
-    with mock.patch("time.time", lambda: UNIX_S + loop.time()):
-        daemon = Daemon(config, load_dialect(config.dialect))
+        daemon = made_daemon(tmp_path, prepared=prepared, **{**own, **(tables or {})})
         before_s = CONVERGED_S if in_air else 0.0
         sims = make_vehicles(
             load_dialect("ardupilotmega"),
@@ -433,20 +455,19 @@ async def flown(
                 sim.params.set(name, value)  # a firmware that has none of this name takes no notice
         running = asyncio.create_task(daemon.run(), name="the daemon")
         await daemon.ready.wait()
-        link = daemon.links.link("air")
-        assert isinstance(link, MemoryLink)
+        link = memory_link(daemon, "air")
         gcs = Flown(daemon, sims, link, running=running)
         living = asyncio.create_task(gcs.live())
         try:
             await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
-            await asyncio.sleep(3.0 if in_air else 7.0)  # the estimators converge, and the daemon asks
+            await asyncio.sleep(ASKS_S if in_air else 7.0)  # the estimators converge, and the daemon asks
             if in_air:
                 for sim in sims:
                     _put_up(sim, height_m, daemon.now())
             elif takeoff:
                 await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
                 await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
-            await asyncio.sleep(5)  # nothing moves any more
+            await asyncio.sleep(SEEN_S if in_air else 5.0)  # nothing moves any more
             yield gcs
             assert not setpoints_end or all(
                 s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS
@@ -464,4 +485,4 @@ async def flown(
 def aloft(tmp_path: Path, **options: Any) -> contextlib.AbstractAsyncContextManager[Flown]:
     """`flown` for tests of what happens in the air: in `make test` without the order to take off and its climb, a third
     of what such a flight costs; in `make test-deep` with them."""
-    return flown(tmp_path, **{"in_air": not is_deep(), **options})
+    return flown(tmp_path, **{"in_air": not is_deep() and options.get("takeoff", True), **options})

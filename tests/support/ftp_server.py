@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import heapq
-import random
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from skygcs.core.mavlink.ftp_payload import Error, Op, Packet, decode, encode
 from skygcs.core.protocols.base import Effect, Send
-from support.param_vehicle import Network
+from support.param_vehicle import Delays, Network
 
 
 @dataclass
@@ -68,21 +66,13 @@ class FtpServer:
         return replies
 
 
-class FtpWire:
+class FtpWire(Delays):
     """Runs a download against a server until it is done."""
 
     def __init__(self, server: FtpServer, network: Network, seed: int = 0) -> None:
+        super().__init__(network, seed)
         self.server = server
-        self.network = network
-        self.random = random.Random(seed)
-        self.now = 100.0
         self.sent: list[tuple[float, Packet]] = []
-        self._queue: list[tuple[float, int, Callable[[], None]]] = []
-        self._serial = 0
-
-    def at(self, delay_s: float, call: Callable[[], None]) -> None:
-        self._serial += 1
-        heapq.heappush(self._queue, (self.now + delay_s, self._serial, call))
 
     def run(self, exchange: Any, *, until: float = 3600.0) -> Any:
         """The outcome; None if it is not over ``until`` seconds after the beginning."""
@@ -120,8 +110,3 @@ class FtpWire:
             packet = decode(b"\0\0\0" + encode(reply).rstrip(b"\0"))
             assert packet is not None
             self._through(lambda p=packet: self.carry(exchange, exchange.on_reply(p, self.now)))  # type: ignore[misc]
-
-    def _through(self, call: Callable[[], None]) -> None:
-        for _ in range(2 if self.random.random() < self.network.duplicate else 1):
-            if self.random.random() >= self.network.loss:
-                self.at(self.random.uniform(*self.network.delay_s), call)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.vehicle.gate import ORDERS, Level
 from skygcs.core.vehicle.gate_table import (
-    EXAMPLES,
     ON_THE_GROUND,
     STICKS,
+    Cell,
     cells,
     commands_passing,
     messages_passing,
@@ -24,57 +26,89 @@ INTRODUCTION = """# The outgoing gate
 Everything that skygcs itself sends to a vehicle passes one gate (`skygcs.core.vehicle.gate`): orders, parameters,
 missions, fences, calibration, and what a client sends with `messages.send` and `vehicles.command`. Frames of
 third-party programs that are forwarded have roles and filters of their links instead. `skygcs-cli gate` prints the
-tables of this page, `--json` for programs.
+same as tables, `--json` for programs.
 
 The gate is an allow list. A vehicle counts as disarmed only while it is heard, alone with its system id, its heartbeat
-shows it disarmed and no telemetry contradicts that; of any other one:
+shows it disarmed and no telemetry contradicts that. *Harmless* passes always, *refused* never; *needs force* needs
+`--force`, and *only disarmed* needs it for a vehicle that does not count as disarmed.
 
-| level | a vehicle known to be disarmed | any other |
-|---|---|---|
-| harmless | passes | passes |
-| only disarmed | passes | needs `--force` |
-| needs force | needs `--force` | needs `--force` |
-| refused | refused | refused |
-
-An order has checks of its own, and may send only what its row names. What no row and no list names needs `--force`
-unless every vehicle that it reaches is known to be disarmed.
+An order has checks of its own, and may send only what its row names. What no row and no list names is *only disarmed*.
 
 """
+
+
+OWN_NAME = re.compile(r"^a \w+ of \w+ ")
+"""How a refusal names its vehicle, which the page has in a column."""
+OWN_CLASS = re.compile(r"^it is (?:a \w+|of a class that skygcs does not know), and ")
+
+
+def answers(order: str, table: Iterable[Cell]) -> dict[str, list[Cell]]:
+    """The cells of each answer to an order: what is sent, or why it is refused."""
+    found: dict[str, list[Cell]] = {}
+    for cell in table:
+        if cell.order == order:
+            sent = ", ".join(f"`{thing}`" for thing in cell.sends)
+            told = (
+                cell.refused if order == STICKS else f"refused: {OWN_CLASS.sub('', OWN_NAME.sub('it ', cell.refused))}"
+            )
+            found.setdefault(sent or told, []).append(cell)
+    return found
+
+
+def by_firmware(where: Iterable[Cell], table: Iterable[Cell]) -> str:
+    """PX4 copter, plane; ArduPilot sub. A firmware alone is all of its classes."""
+    kinds: dict[str, list[str]] = {}
+    for cell in where:
+        kinds.setdefault(cell.firmware, []).append(named(cell))
+    whole = {firmware: {named(cell) for cell in table if cell.firmware == firmware} for firmware in kinds}
+    return "; ".join(
+        firmware if set(names) == whole[firmware] else f"{firmware} {', '.join(names)}"
+        for firmware, names in kinds.items()
+    )
+
+
+def named(cell: Cell) -> str:
+    return cell.kind + (f" {cell.state}" if cell.state else "")
+
+
+def joined(rows: Mapping[str, str]) -> list[str]:
+    """Items of a list; those with the same right side are one."""
+    names: dict[str, list[str]] = {}
+    for name, right in rows.items():
+        names.setdefault(right, []).append(name)
+    return [f"- {', '.join(left)}: {right}" for right, left in names.items()]
 
 
 def page() -> str:
     """The whole page."""
     dialect = load_dialect(DIALECT)
-    ground = ", ".join(f"`{order}`" for order in ON_THE_GROUND)
-    about = f"What is sent, in its order, or why it is refused: in the air without sticks, {ground} on the ground."
-    lines = ["## Orders", "", about, ""]
+    *others, last = (f"`{order}`" for order in ON_THE_GROUND)
+    ground = f"{', '.join(others)} and {last}"
+    lines = ["## Orders", "", "What is sent to a vehicle that is in the air and shows no sticks;"]
+    lines += [f"for {ground}, to one on the ground.", ""]
     table = list(cells(dialect))
-    for example in EXAMPLES:
-        lines += [f"### {example.title}", "", "| order | sent, or refused |", "|---|---|"]
-        for cell in table:
-            if (cell.firmware, cell.kind, cell.state) == (example.firmware, example.kind, example.state):
-                sent = ", ".join(f"`{thing}`" for thing in cell.sends)
-                told = cell.refused if cell.order == STICKS else f"refused: {cell.refused}"
-                lines.append(f"| {cell.order} | {sent or told} |")
-        lines.append("")
-    lines += ["## Rows", "", "What each order, stream and transfer may send beside what is harmless.", ""]
-    lines += ["| row | messages and commands |", "|---|---|"]
+    for order in dict.fromkeys(cell.order for cell in table):
+        found = answers(order, table)
+        if len(found) == 1:
+            lines.append(f"- **{order}**: {next(iter(found))}")
+            continue
+        lines.append(f"- **{order}**:")
+        lines += [f"    - {by_firmware(at, table)}: {text}" for text, at in found.items()]
+    lines += ["", "## Rows", "", "What each order, stream and transfer may send beside what is harmless.", ""]
     names = {number: name.removeprefix("MAV_CMD_") for number, name in dialect.enums["MAV_CMD"].items()}
-    for order, rule in ORDERS.items():
-        things = sorted(rule.messages) + [names[number] for number in sorted(rule.commands)]
-        lines.append(
-            f"| {order} | {', '.join(f'`{thing}`' for thing in things) or 'only itself, or what is harmless'} |"
-        )
+    rows = {
+        order: ", ".join(f"`{thing}`" for thing in [*sorted(rule.messages), *(names[n] for n in sorted(rule.commands))])
+        for order, rule in ORDERS.items()
+    }
+    lines += joined({order: things or "only itself, or what is harmless" for order, things in rows.items()})
     lines += ["", "## Raw messages and commands", "", f"Of the dialect {DIALECT}; others have the same lists.", ""]
-    lines += ["| | all | " + " | ".join(level.value for level in Level) + " |", "|---|---|" + "---|" * len(Level)]
     for what, passing in (("messages", messages_passing(dialect)), ("commands", commands_passing(dialect))):
-        counts = " | ".join(str(passing.levels[level]) for level in Level)
-        lines.append(f"| {what} | {passing.all} | {counts} |")
+        counts = ", ".join(f"{passing.levels[level]} {level.value}" for level in Level if passing.levels[level])
+        lines.append(f"- Of {passing.all} {what}: {counts}.")
     for what, passing in (("messages", messages_passing(dialect)), ("commands", commands_passing(dialect))):
         lines += ["", f"Harmless {what}: " + ", ".join(f"`{name}`" for name in passing.harmless) + "."]
     lines += ["", "## Parameters", "", "By their role (`skygcs.core.params.param_roles`).", ""]
-    lines += ["| role | level |", "|---|---|"]
-    lines += [f"| {role} | {level} |" for role, level in params_passing().items()]
+    lines += joined(params_passing())
     return INTRODUCTION + "\n".join(lines) + "\n"
 
 

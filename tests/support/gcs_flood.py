@@ -9,7 +9,7 @@ from typing import Any
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
-from skygcs.links.memory import MemoryLink
+from support.daemons import memory_link
 
 LIST_AGAIN_S = 5.0
 """QGroundControl's ParameterManager repeats its request so often, four times ..."""
@@ -30,8 +30,7 @@ class GroundStation:
     """On a memory link of the daemon, as 255/190 unless said otherwise."""
 
     def __init__(self, daemon: Daemon, link: str, sysid: int = 255, compid: int = 190) -> None:
-        found = daemon.links.link(link)
-        assert isinstance(found, MemoryLink)
+        found = memory_link(daemon, link)
         self.dialect = daemon.dialect
         self.sysid, self.compid = sysid, compid
         self.parameters: dict[int, set[int]] = {}

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
-from skygcs.daemon import Daemon
-from skygcs.links.memory import MemoryLink
 from skygcs.sim.vehicle_group import make_vehicles
+from support.daemons import made_daemon, memory_link
 from support.flown import FIELD, Flown
 
 
@@ -22,14 +20,8 @@ async def on_the_ground(
 ) -> AsyncIterator[Flown]:
     """A PX4 and an ArduCopter, ready to arm; ``link``: the faults of the memory link, both ways; ``extensions``: their
     tables."""
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "links": {"air": {"type": "memory", "role": "radio", **{"seed": 7, **link}}},
-        }
-    )
-    config = config.model_copy(update={"extensions": dict(extensions or {})})
-    daemon = Daemon(config, load_dialect(config.dialect))
+    links = {"air": {"type": "memory", "role": "radio", **{"seed": 7, **link}}}
+    daemon = made_daemon(tmp_path, extensions or {}, links=links)
     sims = make_vehicles(
         load_dialect("ardupilotmega"),
         px4=1,
@@ -41,8 +33,7 @@ async def on_the_ground(
     )
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    air = daemon.links.link("air")
-    assert isinstance(air, MemoryLink)
+    air = memory_link(daemon, "air")
     gcs = Flown(daemon, sims, air)
     living = asyncio.create_task(gcs.live())
     gcs.running = running

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+from skygcs.config.files import boot_s
 from skygcs.events import Event
 from skygcs.ext.federation.authority import Authority
 from skygcs.ext.federation.bridge.bus import Bus
-from skygcs.ext.federation.bridge.leases import Leases, boot_s
+from skygcs.ext.federation.bridge.leases import Leases
 from skygcs.ext.federation.config import SharedVehicle
 from skygcs.ext.federation.protocol.lease import NEW_HUB_S, State
 from support.hub import Hub, until

@@ -1,4 +1,4 @@
-"""The same test on asyncio's own event loop and on uvloop: they differ where descriptors fail."""
+"""The same test on uvloop, which daemons use, and on asyncio's own event loop: they differ where descriptors fail."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from typing import Any
 import pytest
 import uvloop
 
+from support.examples import is_deep
+
 LOOPS: dict[str, Callable[[], asyncio.AbstractEventLoop]] = {
-    "asyncio": asyncio.SelectorEventLoop,
     "uvloop": uvloop.new_event_loop,
+    "asyncio": asyncio.SelectorEventLoop,
 }
+"""`make test` takes the first, `make test-deep` both, as for the tests of tests/unit/runtime."""
 
 
 def on_every_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
-    """Run an async test once per kind of loop, each in a loop of its own. Whatever the loop's exception handler is
+    """Run an async test on each of `LOOPS`, each in a loop of its own. Whatever the loop's exception handler is
     told fails the test: a callback of ours has raised."""
 
     @functools.wraps(test)
@@ -37,4 +40,4 @@ def on_every_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..
     extra = inspect.Parameter("loop_kind", inspect.Parameter.KEYWORD_ONLY)
     run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), extra])  # type: ignore[attr-defined]  # what pytest reads
     del run.__wrapped__  # type: ignore[attr-defined]  # or the plugin would take it for a coroutine function
-    return pytest.mark.parametrize("loop_kind", list(LOOPS))(run)
+    return pytest.mark.parametrize("loop_kind", list(LOOPS)[: None if is_deep() else 1])(run)

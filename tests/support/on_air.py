@@ -8,13 +8,12 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
 from skygcs.links.base import Channel
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.radio_fleet import RadioFleet
 from skygcs.sim.vehicle import SimVehicle
+from support.daemons import made_daemon, simulated_link
 
 FIELD = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 180.0}
 
@@ -27,8 +26,7 @@ class OnAir:
 
     @property
     def link(self) -> SimulatedVehiclesLink:
-        link = self.daemon.links.link("air")
-        assert isinstance(link, SimulatedVehiclesLink)
+        link = simulated_link(self.daemon, "air")
         return link
 
     @property
@@ -96,19 +94,12 @@ async def on_air(
     """From the moment at which the link is open; nobody has been heard yet. ``stations``: memory links "gcs0" and so on
     for as many ground stations. ``tables``: further tables of the fleet file."""
     air = {"type": "simulated", "role": "radio", "px4": px4, "ardupilot": ardupilot, "dynamics": "kinematic"}
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "origin": FIELD,
-            "links": {
-                "air": {**air, "radio": dict(radio or {}), **(link or {})},
-                **{f"gcs{number}": {"type": "memory", "role": "gcs"} for number in range(stations)},
-            },
-            "defaults": dict(defaults or {}),
-            **(tables or {}),
-        }
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
+    links = {
+        "air": {**air, "radio": dict(radio or {}), **(link or {})},
+        **{f"gcs{number}": {"type": "memory", "role": "gcs"} for number in range(stations)},
+    }
+    own = {"origin": FIELD, "links": links, "defaults": dict(defaults or {})}
+    daemon = made_daemon(tmp_path, **{**own, **(tables or {})})
     running = asyncio.create_task(daemon.run(), name="the daemon")
     await daemon.ready.wait()
     air_ = OnAir(daemon)

@@ -14,10 +14,11 @@ expect.set_options(timeout=60_000)  # a hang, not a measure: a busy machine take
 
 WATCH_HOLD = """button => {
     let holding = false;
-    const watch = window.watchedHold = { over: () => !button.isConnected || watch.ended, ended: false };
+    const watch = window.watchedHold = { over: () => !button.isConnected || watch.ended, ended: false, begun: false };
     new MutationObserver(() => {
         watch.ended ||= holding && button.dataset.holding !== "true";
         holding = button.dataset.holding === "true";
+        watch.begun ||= holding;
     }).observe(button, { attributes: true, attributeFilter: ["data-holding"] });
 }"""
 """Sees that a button which is held down acts: after its second, and a frame that a busy machine draws late."""
@@ -82,15 +83,38 @@ def until_acted(page: Page, button: Locator) -> Iterator[None]:
 
 def hold(page: Page, button: Locator) -> None:
     """Hold a button down until it has acted."""
-    button.hover()
     with until_acted(page, button):
-        page.mouse.down()
+        while not _pressed(page, button):  # what had come meanwhile had moved it from under the pointer
+            page.mouse.up()
     page.mouse.up()
+
+
+def _pressed(page: Page, button: Locator) -> bool:
+    """Press a watched button; True once it shows that it is held, or has acted."""
+    button.hover()
+    page.mouse.down()
+    for _ in range(40):
+        if page.evaluate("watchedHold.begun || watchedHold.over()"):
+            return True
+        page.wait_for_timeout(50)
+    return False
+
+
+VIEW = ".canvasbox canvas[role=img]"
+"""The canvas of the fleet view that has the pointer and the keys: vehicles, above another of what lies beneath them."""
+
+VIEW_PEN = """(() => {
+    const both = [...document.querySelectorAll('.canvasbox canvas')], { width, height } = both[0];
+    const pen = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d');
+    for (const one of both) pen.drawImage(one, 0, 0);
+    return pen;
+})()"""
+"""A JavaScript expression: the pen of a copy of both canvases, as a person sees them."""
 
 
 def click_view(page: Page, *points: tuple[float, float]) -> None:
     """Click places of the fleet view, given as shares of its width and height."""
-    box = page.locator(".viewpane canvas").first.bounding_box()
+    box = page.locator(VIEW).bounding_box()
     assert box is not None
     for x, y in points:
         page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])

@@ -78,22 +78,34 @@ class Network:
     delay_s: tuple[float, float] = (0.01, 0.01)
 
 
-class Wire:
-    """Runs an exchange against a vehicle until it is done."""
+class Delays:
+    """Messages on their way through a network, and the test's own time."""
 
-    def __init__(self, vehicle: ParamVehicle, network: Network, seed: int = 0) -> None:
-        self.vehicle = vehicle
+    def __init__(self, network: Network, seed: int) -> None:
         self.network = network
         self.random = random.Random(seed)
         self.now = 100.0
-        self.sent: list[Send] = []
-        self.reports = 0
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._serial = 0
 
     def at(self, delay_s: float, call: Callable[[], None]) -> None:
         self._serial += 1
         heapq.heappush(self._queue, (self.now + delay_s, self._serial, call))
+
+    def _through(self, call: Callable[[], None]) -> None:
+        for _ in range(2 if self.random.random() < self.network.duplicate else 1):
+            if self.random.random() >= self.network.loss:
+                self.at(self.random.uniform(*self.network.delay_s), call)
+
+
+class Wire(Delays):
+    """Runs an exchange against a vehicle until it is done."""
+
+    def __init__(self, vehicle: ParamVehicle, network: Network, seed: int = 0) -> None:
+        super().__init__(network, seed)
+        self.vehicle = vehicle
+        self.sent: list[Send] = []
+        self.reports = 0
 
     def run(self, exchange: Any, *, limit_s: float = 3600.0) -> Any:
         """The outcome. What is still on its way when it is done stays there."""
@@ -119,8 +131,3 @@ class Wire:
     def _arrive(self, exchange: Any, effect: Send) -> None:
         for value in self.vehicle.hear(effect.message, effect.values):
             self._through(lambda v=value: self._carry(exchange, exchange.on_value(v, self.now)))  # type: ignore[misc]
-
-    def _through(self, call: Callable[[], None]) -> None:
-        for _ in range(2 if self.random.random() < self.network.duplicate else 1):
-            if self.random.random() >= self.network.loss:
-                self.at(self.random.uniform(*self.network.delay_s), call)

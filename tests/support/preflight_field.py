@@ -56,6 +56,10 @@ class PreflightField(SimField):
             assert found is not None, param
             found[1].value = value
 
+    def held(self, name: str, *params: str) -> dict[str, float]:
+        """The values that a vehicle has for these parameters."""
+        return {param: self.vehicle(name).params[param] for param in params}
+
     async def complaints(self, name: str) -> dict[str, str]:
         """What a preflight has to say against a vehicle: text by check, worst first."""
         answer = await self.fleet.preflight(name)

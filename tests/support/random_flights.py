@@ -19,10 +19,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.errors import SkygcsError
-from skygcs.links.memory import MemoryLink
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.vehicle import SimVehicle
+from support.daemons import memory_link
 from support.flown import Flown, flown
 from support.truth_monitor import LOOK_S, Breach, TruthMonitor
 
@@ -176,8 +176,7 @@ async def program(f: RandomFlight) -> None:
 
     async def send(seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
-            link = f.gcs.daemon.links.link("program")
-            assert isinstance(link, MemoryLink)
+            link = memory_link(f.gcs.daemon, "program")
             link.peer.send(f.gcs.other.pack(level))
             await asyncio.sleep(0.05)
 

@@ -14,7 +14,7 @@ from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.config import RosConfig
 from skygcs.rpc.client import connect
-from support.flown import UNIX_S, Flown, flown
+from support.flown import UNIX_S, Flown, aloft
 from support.ros_node import KeptNode
 
 _numbers = itertools.count(1)
@@ -32,6 +32,8 @@ class NoChild:
         return {"running": True, "pid": None, "restarts": 0}
 
     def close(self) -> None: ...
+
+    async def ended(self) -> None: ...
 
 
 class Bridged:
@@ -87,9 +89,9 @@ async def bridged(tmp_path: Path, commands: str = "all", **more: Any) -> AsyncIt
     config = RosConfig(commands=commands)  # type: ignore[arg-type]
     with mock.patch("skygcs.ext.ros.extension.SupervisedChild", NoChild):
         prepared = lambda fleet: fleet.model_copy(update={"extensions": {"ros": config}})  # noqa: E731
-        async with flown(tmp_path, prepared=prepared, **more) as gcs:
+        async with aloft(tmp_path, prepared=prepared, **more) as gcs:
             loop, node = asyncio.get_running_loop(), KeptNode()
-            bridge = Bridge(node, config, lambda: round((UNIX_S + loop.time()) * 1e9))
+            bridge = Bridge(node, config, lambda: round((UNIX_S + loop.time()) * 1e9), loop.time)
             serving = asyncio.create_task(_serve(bridge, tmp_path / "s"), name="the bridge")
             try:
                 await gcs.until(lambda: len(bridge.vehicles) == len(gcs.sims) and bridge.fleet.fences)

@@ -65,7 +65,9 @@ class RoutedNet:
             decision = self.router.decide(self.ids[name], frame, self.now)
             if frame.sysid << 8 | frame.compid in self.router.state_sources:
                 copy = decision.verdict is RoutingVerdict.DUPLICATE
-                self.counted.append((name, self.router.supplies(self.ids[name], frame, self.now, copy=copy)))
+                copy_of = self.router.first_channel_id if copy else None
+                counts = self.router.selection.supplies(self.ids[name], frame, self.now, copy_of=copy_of)
+                self.counted.append((name, counts))
             self.decisions.append(decision)
             for channel_id in decision.destinations:
                 self.got[names[channel_id]].append(frame.raw)

@@ -233,11 +233,7 @@ def lossless_per_s(target: Running, load: list[str], start: float, stop: float =
 def spread(values: list[float]) -> dict[str, float]:
     """Median, least and greatest; not a number if there are none."""
     values = values or [float("nan")]
-    return {
-        "median": round(statistics.median(values), 3),
-        "min": round(min(values), 3),
-        "max": round(max(values), 3),
-    }
+    return {"median": round(statistics.median(values), 3), "min": round(min(values), 3), "max": round(max(values), 3)}
 
 
 def interleaved(rounds: int, cases: Mapping[str, Callable[[], dict[str, float]]]) -> dict[str, dict[str, list[float]]]:

@@ -6,9 +6,11 @@ import asyncio
 import contextlib
 import json
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
 from typing import Any
+
+import uvloop
 
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
@@ -83,3 +85,14 @@ async def running(folder: Path) -> AsyncIterator[Bench]:
         for peer in bench.peers:
             await peer.close()
         await server.close()
+
+
+def under_uvloop(folder: Path, scenario: Callable[[Bench], Coroutine[Any, Any, None]]) -> None:
+    """Run a scenario on the loop that the daemon runs on."""
+
+    async def run() -> None:
+        async with running(folder) as bench:
+            await scenario(bench)
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(run())

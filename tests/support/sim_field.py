@@ -10,8 +10,6 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.gate import Clearance
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.sim.kinematics import LocalFrame
@@ -61,18 +59,7 @@ class SimField:
     def on_send(self, message: str, values: Mapping[str, Any]) -> None:
         """What the fleet sends, as it leaves."""
 
-    def _send(
-        self,
-        info: MessageInfo,
-        values: Mapping[str, Any],
-        sysid: int,
-        compid: int,
-        priority: Priority,
-        *,
-        everywhere: bool = False,
-        key: object = None,
-        clearance: Clearance | None = None,
-    ) -> bool:
+    def _send(self, info: MessageInfo, values: Mapping[str, Any], *_: Any, **__: Any) -> bool:
         self._seq += 1
         self.on_send(info.name, values)
         raw = encode(info, values, sysid=255, compid=25, seq=self._seq & 0xFF)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from functools import cache
 from math import nan
-from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -29,8 +27,8 @@ COPTER_GUIDED = 4
 
 @cache
 def sim_dialect() -> Dialect:
-    """ardupilotmega, made without touching anybody's cache."""
-    return load_dialect("ardupilotmega", cache_dir=Path(os.devnull) / "none")
+    """ardupilotmega."""
+    return load_dialect("ardupilotmega")
 
 
 def px4(sysid: int = 1, seed: int = 1) -> Px4Vehicle:
@@ -133,6 +131,7 @@ class Pilot:
             assert abs(v.motion.up_m - height_m) < 0.3, "it did not reach its height"
 
     def hovering(self, height_m: float = 10.0) -> None:
+        """Every vehicle in the air at this height."""
         self.get_ready()
         self.take_off(height_m)
         self.forget()

@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.routing.link_choice import LinkHealth
@@ -24,6 +22,7 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.stream_schedule import Streams
 from skygcs.sim.transmitter import Transmitter
 from skygcs.sim.vehicle import SimVehicle
+from support.daemons import made_daemon, memory_link
 from support.on_air import FIELD, OnAir
 
 NETWORK_HZ = {
@@ -178,25 +177,21 @@ async def two_links(
     """From the moment at which every vehicle's network link carries its state and the radio has its plan."""
     vehicles = px4 + ardupilot
     air = {"type": "simulated", "role": "radio", "px4": px4, "ardupilot": ardupilot, "dynamics": "kinematic"}
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "origin": FIELD,
-            "links": {
-                "air": {**air, "seed": seed, "stream_profile": "nav", "radio": dict(radio or {}), **(link or {})},
-                **{f"wifi{n}": {"type": "memory"} for n in range(1, vehicles + 1)},
-            },
-            "defaults": defaults,
-        }
+    daemon = made_daemon(
+        tmp_path,
+        origin=FIELD,
+        links={
+            "air": {**air, "seed": seed, "stream_profile": "nav", "radio": dict(radio or {}), **(link or {})},
+            **{f"wifi{n}": {"type": "memory"} for n in range(1, vehicles + 1)},
+        },
+        defaults=defaults,
     )
-    daemon = Daemon(config, load_dialect(config.dialect))
     running = asyncio.create_task(daemon.run(), name="the daemon")
     await daemon.ready.wait()
     field_ = TwoLinks(daemon)
     await field_.until(lambda: field_.link.channels)
     for sim in field_.link.vehicles:
-        wifi = daemon.links.link(f"wifi{sim.sysid}")
-        assert isinstance(wifi, MemoryLink)
+        wifi = memory_link(daemon, f"wifi{sim.sysid}")
         field_.ports[sim.sysid] = NetworkPort(sim, wifi, field_.delivered, seed * 1000 + sim.sysid)
         _log_radio(field_, sim)
     ticking = asyncio.create_task(_tick(field_), name="network ports")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -16,6 +15,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.mavlink.vehicle_class import TABLE, VehicleClass
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import Clearance
 from skygcs.events import Event
@@ -33,14 +33,17 @@ PX4_RTL = 4 << 16 | 5 << 24
 PX4_LAND = 4 << 16 | 6 << 24
 PX4_POSCTL = 3 << 16
 
+ASKED_PARAMS = TABLE["px4", VehicleClass.COPTER].asked_params
+"""Parameters that skygcs reads of each new vehicle."""
+
 HOME = (47.3977420, 8.5455940, 488.1)
 """Where the capture was flown."""
 
 
 @cache
 def flight_dialect() -> Dialect:
-    """The default dialect of a fleet file, made without touching anybody's cache."""
-    return load_dialect(["ardupilotmega", "px4-extras"], cache_dir=Path(os.devnull) / "none")
+    """The default dialect of a fleet file."""
+    return load_dialect(["ardupilotmega", "px4-extras"])
 
 
 def parsed(data: bytes) -> Frame:
@@ -199,10 +202,15 @@ class ScriptedVehicle(Voice):
             await asyncio.sleep(1.0)
 
     def _hear(self, sent: Sent) -> None:
-        identify = sent.name == "COMMAND_LONG" and sent.command in (512, 42428) and sent.priority is Priority.PROTOCOL
-        if not self.silent and not identify:
-            self.got.append(sent)
-            self.script(self, sent)
+        if self.silent or (
+            sent.name == "COMMAND_LONG" and sent.command in (512, 42428) and sent.priority is Priority.PROTOCOL
+        ):
+            return
+        if sent.name == "PARAM_REQUEST_READ" and (name := sent.param_id) in ASKED_PARAMS:
+            self.tell(self.say(mav.MAVLink_param_value_message(name.encode(), 0.0, 9, 1, 0)))  # its default
+            return
+        self.got.append(sent)
+        self.script(self, sent)
 
     def _arrive(self, frame: Frame) -> None:
         if not self.silent:
@@ -284,6 +292,7 @@ class Ground:
         *,
         everywhere: bool = False,
         clearance: Clearance | None = None,
+        key: object = None,
     ) -> bool:
         sent = Sent(info, values, sysid, compid, priority, everywhere)
         self.sent.append(sent)

@@ -27,14 +27,20 @@ class VirtualAsyncio(asyncio.SelectorEventLoop):
 
     def __init__(self) -> None:
         super().__init__()
-        self._now_us = 0
+        self._now_us, self._now_s = 0, 0.0
         self._in_threads = 0
         self.threads_are_stuck = False
         self._look = self._selector.select
         self._selector.select = self._select  # type: ignore[method-assign]
 
     def time(self) -> float:
-        return self._now_us / 1_000_000
+        return self._now_s
+
+    def stand_still(self, seconds: float) -> None:
+        """The process was stopped for so long: its clock has gone on, its timers are late, and its sockets have
+        filled."""
+        self._now_us += round(seconds * 1_000_000)
+        self._now_s = self._now_us / 1_000_000
 
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
         future = super().run_in_executor(executor, func, *args)
@@ -67,6 +73,7 @@ class VirtualAsyncio(asyncio.SelectorEventLoop):
         if ready := self._look(0):  # what another socket of this process has just sent may take the kernel a moment
             return ready
         self._now_us += round(timeout * 1_000_000) or 1
+        self._now_s = self._now_us / 1_000_000
         return ready
 
 

@@ -50,6 +50,11 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
     def time(self) -> float:
         return self._now_ms / 1000
 
+    def stand_still(self, seconds: float) -> None:
+        """The process was stopped for so long: its clock has gone on, its timers are late, and its sockets have
+        filled."""
+        self._now_ms += round(seconds * 1000)
+
     def call_soon(self, callback: Callable[..., Any], *args: Any, context: Context | None = None) -> Any:
         self._scheduled += 1
         return super().call_soon(callback, *args, context=context)

@@ -22,11 +22,18 @@ class WebPage:
         self.session = session
         self.station = station
         self.ws: aiohttp.ClientWebSocketResponse | None = None
+        self.sockets: list[aiohttp.ClientWebSocketResponse] = []
         self.notices: list[dict[str, Any]] = []
         self._last = 0
 
     async def open(self) -> None:
-        self.ws = await self.session.ws_connect(f"{self.station.base}/ws", origin=self.station.base, max_msg_size=0)
+        self.ws = await self.connect()
+
+    async def connect(self) -> aiohttp.ClientWebSocketResponse:
+        """One more WebSocket, closed with the page."""
+        base = self.station.base
+        self.sockets.append(await self.session.ws_connect(f"{base}/ws", origin=base, max_msg_size=0))
+        return self.sockets[-1]
 
     async def next(self, within_s: float = 60.0) -> dict[str, Any]:
         assert self.ws is not None
@@ -68,9 +75,9 @@ async def page_of(station: WebStation, role: Any = "command", *, ws: bool = True
         try:
             yield page
         finally:
-            if page.ws is not None:
-                sock = page.ws.get_extra_info("socket")
-                await page.ws.close()
+            for each in page.sockets:
+                sock = each.get_extra_info("socket")
+                await each.close()
                 if sock is not None:  # megabytes that nobody reads would keep it open beyond the loop
                     with contextlib.suppress(OSError):
                         sock.shutdown(socket.SHUT_RDWR)

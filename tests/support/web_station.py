@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -16,6 +15,7 @@ from typing import Any
 from skygcs.web.control_socket import ask_for_link, find_control
 from skygcs.web.sign_in import Role
 from support.process import free_port
+from support.system_programs import PROGRAMS, path_of
 
 READY_S = 60.0
 
@@ -191,9 +191,7 @@ def _end(process: subprocess.Popen[bytes] | None, number: int) -> None:
 
 def chromium() -> str | None:
     """The system's Chromium; None: it is not installed."""
-    return next(
-        (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-    )
+    return path_of(next(iter(PROGRAMS["test-web"])))
 
 
 def chromium_options() -> list[str]:

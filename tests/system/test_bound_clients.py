@@ -6,7 +6,7 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -71,14 +71,14 @@ class Script:
                 return message
         return None
 
-    def until_answered(self, ask: Any, kind: str) -> Any:
-        """Ask as often as it takes, as scripts over radios do."""
+    def until_answered(self, ask: Any, kind: str, answers: Callable[[Any], bool] = lambda _: True) -> Any:
+        """Ask as often as it takes, as scripts over radios do. Other messages of this kind may come meanwhile."""
         end = time.monotonic() + TIMEOUT_S
         while time.monotonic() < end:
             ask()
             for _ in range(3):
                 message = self.receive(kind)
-                if message is not None:
+                if message is not None and answers(message):
                     return message
         raise AssertionError(f"no {kind} for the program of vehicle {self.sysid}")
 
@@ -103,8 +103,9 @@ class Script:
     def own_id(self) -> int:
         """By the vehicle's own parameter."""
         name = PARAMETERS[self.sysid > PX4_VEHICLES]
-        value = self.until_answered(lambda: self.connection.param_fetch_one(name), "PARAM_VALUE")
-        assert value.param_id == name
+        value = self.until_answered(
+            lambda: self.connection.param_fetch_one(name), "PARAM_VALUE", lambda value: value.param_id == name
+        )
         if self.sysid > PX4_VEHICLES:
             return int(value.param_value)
         (number,) = struct.unpack("<i", struct.pack("<f", value.param_value))  # PX4 sends an integer's bytes so

@@ -77,11 +77,8 @@ NOT_RUN = {
     "skygcs-cli link select": "a link with a radio",
     "skygcs-cli mission watch": "runs until Ctrl-C; tests/unit/cli/test_cli_mission_flight.py",
     "skygcs-cli message watch ATTITUDE": "runs until Ctrl-C",
-    "skygcs-cli plot": "the trace of a flight; tests/unit/cli/test_cli_plot.py",
     "skygcs-cli radio": "SiK radios; tests/system/test_radio_setup.py",
-    "skygcs-cli table": "a flight of minutes; tests/unit/ext/plans/commands/test_cli_table.py",
     "skygcs-cli tlog play": "takes as long as the flight did; tests/unit/cli/test_tlog_play.py",
-    "skygcs-cli track": "runs until Ctrl-C",
     "skygcs-cli watch": "runs until Ctrl-C",
 }
 """First words of a command on the pages that are run -> what it needs."""

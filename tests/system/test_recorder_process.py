@@ -34,8 +34,10 @@ async def main():
     print("begun", flush=True)
     begun = time.monotonic()
     while True:
-        stamps = []
-        for _ in range(int((time.monotonic() - begun) * 200) - count):
+        stamps, elapsed_s = [], time.monotonic() - begun
+        # up to the limit, beyond it a second later, then so few that a new file has room however long the machine waits
+        due = 300 + 100 * (elapsed_s > 1.0) + elapsed_s if limit else elapsed_s * 200
+        for _ in range(int(due) - count):
             stamps.append(time.time_ns() // 1000)
             recorder.offer(heartbeat(1 + count % 250), stamps[-1])
             count += 1

@@ -152,4 +152,4 @@ def test_a_reload_of_one_link_loses_no_frame_of_the_others(manager: Manager) -> 
 
         wait_until(all_came_out, "all frames of the vehicle")
     assert numbers == [n & 0xFF for n in range(sent)]
-    assert manager.log().count("link b changed") == 2
+    wait_until(lambda: manager.log().count("link b changed") == 2, "the log, which a thread writes")

@@ -195,7 +195,7 @@ def test_a_file_in_the_place_of_the_symlink_is_left_alone(
     path.write_text("precious")
     process = start("--pty", str(path))
     _, err = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 1 and "no symlink" in err
+    assert process.returncode == 1 and "not a symlink" in err
     assert path.read_text() == "precious"
 
 

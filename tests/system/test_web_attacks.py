@@ -20,6 +20,7 @@ import pytest
 from skygcs.errors import SkygcsError
 from skygcs.web.browser_connections import MAX_CONNECTIONS
 from skygcs.web.control_socket import ask_for_link, find_control
+from support.needed import needs
 from support.process import free_port, wait_until
 from support.web_page import WebPage, page_of, raw, status
 from support.web_station import WebStation, command
@@ -248,9 +249,7 @@ def lost(page: WebPage) -> list[str]:
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A self-signed certificate and its key, for 127.0.0.2 and gcs.test."""
-    openssl = shutil.which("openssl")
-    if openssl is None:
-        pytest.skip("no openssl in PATH to make a certificate")
+    openssl = needs("test-system", "openssl")
     folder = tmp_path_factory.mktemp("tls")
     cert, key = folder / "cert.pem", folder / "key.pem"
     line = (

@@ -41,7 +41,7 @@ async def page(static: Path, session_cookie: str | None) -> AsyncIterator[tuple[
         mock.Mock(spec=PageClients, clients={}),
         sign_in,
         allow_list("127.0.0.1", port, (), tls=False),
-        unix_time=lambda: 1e9,
+        clock=lambda: 1e9,
         on_sign_in=lambda: None,
         static=static,
     )

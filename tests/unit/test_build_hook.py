@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from support.process import ROOT
+from support.table import each
 
 linux = pytest.mark.skipif(
     sys.platform != "linux" or shutil.which("cc") is None, reason="needs Linux and a C compiler called cc"
@@ -94,7 +95,7 @@ def test_without_a_compiler_it_warns(hook: Any, monkeypatch: pytest.MonkeyPatch)
     assert "/nowhere/cc" in hook.warnings[0]
 
 
-@pytest.mark.parametrize("compiler", ["/nowhere/cc", "false"])
+@each("compiler", ["/nowhere/cc", "false"])
 def test_what_is_required_and_fails_fails_the_installation(
     hook: Any, monkeypatch: pytest.MonkeyPatch, compiler: str
 ) -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from support.table import each
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -43,7 +45,7 @@ def build(checkout: Path, *options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize(("options", "code"), [(("--or-warn",), 0), ((), 1), (("--check",), 1)])
+@each(("options", "code"), [(("--or-warn",), 0), ((), 1), (("--check",), 1)])
 def test_without_the_registry_a_demo_is_warned_and_a_release_fails(
     checkout: Path, options: tuple[str, ...], code: int
 ) -> None:
@@ -58,15 +60,3 @@ def test_packages_come_by_the_lock_file_and_none_of_their_scripts_is_run(checkou
     build(checkout)
     words = (checkout / "npm.txt").read_text().split()
     assert words[0] == "ci" and "--ignore-scripts" in words
-
-
-def test_the_makefile_warns_for_the_demo_only() -> None:
-    steps: dict[str, list[str]] = {}
-    target = ""
-    for line in (ROOT / "Makefile").read_text().splitlines():
-        if line and not line[0].isspace() and ":" in line:
-            target = line.partition(":")[0]
-        elif "build_page.py" in line:
-            steps.setdefault(target, []).append(line)
-    assert "--or-warn" in steps["demo"][0]
-    assert steps["dist"] and not any("--or-warn" in line for line in steps["dist"])

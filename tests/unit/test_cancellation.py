@@ -11,6 +11,7 @@ import pytest
 
 from skygcs.cancellation import carried_through, end_if_cancelled, ended, together
 from support.process import ROOT
+from support.table import each
 
 SWALLOWS = {
     (
@@ -26,6 +27,7 @@ SWALLOWS = {
     ("ext/plans/commands/plan_run.py", "_follow"): "the first Ctrl-C asks what to do, the second ends it",
     ("cli/radio_port.py", "run"): "raised as KeyboardInterrupt",
     ("web/daemon_connection.py", "run"): "its owner sets `stopping` before it cancels, and that is asked after",
+    ("runtime/fleet_orders.py", "_carry_on"): "ends its task: whoever gave the order gets its outcomes",
     ("rpc/dispatch.py", "_finish"): "ends its task: the client gets an error",
 }
 """Functions in which a CancelledError ends otherwise than by being raised again, and why it may."""
@@ -40,8 +42,8 @@ async def for_ever() -> None:
     await asyncio.Event().wait()
 
 
-@pytest.mark.parametrize("turns", range(5))
-@pytest.mark.parametrize("cancelled_first", [False, True])
+@each("turns", range(5))
+@each("cancelled_first", [False, True])
 async def test_a_failure_does_not_swallow_the_cancellation_of_its_owner(turns: int, cancelled_first: bool) -> None:
     """Deterministic in every order of the two, some turns of the loop apart."""
     fail, rounds = asyncio.Event(), 0

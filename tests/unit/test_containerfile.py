@@ -81,16 +81,7 @@ def test_the_page_is_built_before_the_wheel_and_the_fast_path_is_required() -> N
     assert page < wheel and "SKYGCS_REQUIRE_FASTPATH=1" in building[wheel]
 
 
-@each(
-    "text",
-    [
-        "RUN true",
-        "FROM a b c",
-        "FROM a\nADD x y",
-        "FROM a\nHEALTHCHECK CMD true",
-        "FROM a\n\tnonsense",
-    ],
-)
+@each("text", ["RUN true", "FROM a b c", "FROM a\nADD x y", "FROM a\nHEALTHCHECK CMD true", "FROM a\n\tnonsense"])
 def test_what_is_not_carried_out_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match="not understood"):
         stages_of(text)

@@ -8,7 +8,9 @@ import errno
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -68,9 +70,7 @@ async def until(condition: Any) -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_a_stuck_disk_is_reported_once_and_drops_what_is_too_much(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_stuck_disk_is_reported_once_and_drops_what_is_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(disk_writer, "STUCK_S", 0.02)
     events: list[Event] = []
     now = [0.0]
@@ -98,13 +98,49 @@ async def test_a_stuck_disk_is_reported_once_and_drops_what_is_too_much(
         await disk.close()
 
 
+class SteppedLoop:
+    """A loop at a clock that the test sets; its one timer rings when the test says so, and no job ever ends."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.ring: Callable[[], None] = print
+        self.due = 0.0
+
+    def time(self) -> float:
+        return self.now
+
+    def call_later(self, delay_s: float, ring: Callable[[], None]) -> mock.Mock:
+        self.ring, self.due = ring, self.now + delay_s
+        return mock.Mock()
+
+    def run_in_executor(self, *_: object) -> asyncio.Future[None]:
+        return asyncio.get_running_loop().create_future()
+
+    def go_on(self, late_s: float = 0.0) -> None:
+        self.now = self.due + late_s
+        self.ring()
+
+
+async def test_a_process_that_stood_still_takes_no_disk_for_stuck() -> None:
+    events: list[Event] = []
+    loop: Any = SteppedLoop()
+    disk = DiskWriter(loop, events.append, loop.time, mock.Mock())
+    disk.offer("a trace", print)
+    loop.go_on(late_s=60.0)
+    assert not events and not disk.status()["stuck"]
+    loop.go_on(late_s=0.01)
+    assert [event.text for event in events] == ["the disk is stuck: a trace is not written; everything else goes on"]
+    loop.go_on(late_s=60.0)
+    assert disk.status()["stuck"] and len(events) == 1
+
+
 async def test_what_waits_for_the_disk_before_an_order_gives_up_in_time_and_the_end_waits_briefly(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(disk_writer, "CLOSE_S", 0.05)
     events: list[Event] = []
     disk, stuck = DiskWriter(asyncio.get_running_loop(), events.append), Stuck()
-    with pytest.raises(OSError, match="does not take it"):
+    with pytest.raises(OSError, match="does not accept it"):
         await disk.run("the undo journal", lambda: stuck.write(1), within_s=0.05)
     await disk.close()
     assert "unwritten, as the disk is stuck: the undo journal" in events[-1].text

@@ -169,6 +169,13 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             assert anchor in anchors(target), f"{link} in {label(page)}"
 
 
+@each("page", PAGES)
+def test_the_site_knows_how_each_block_begins(page: Path) -> None:
+    """With other words behind the language it shows the block, and the text up to the next one, as one paragraph."""
+    begins = re.findall(r"^ *```(.+)$", page.read_text(encoding="utf-8"), re.M)
+    assert [words for words in begins if not re.fullmatch(r'[a-z]+( title="[^"]+")?', words)] == []
+
+
 def test_every_page_of_the_site_is_in_its_index() -> None:
     index = ROOT / "docs" / "index.md"
     links = [link.partition("#")[0] for link, _ in LINK.findall(index.read_text(encoding="utf-8"))]

@@ -13,6 +13,7 @@ from skygcs.errors import RefusedError
 from skygcs.extension import MADE_AGAIN_S, Extension, Extensions, NoTable
 from skygcs.rpc.dispatch import Method, MethodTable
 from skygcs.rpc.models import NoParams
+from support.table import each
 
 
 class Kite(Extension[NoTable]):
@@ -54,7 +55,7 @@ class Rig:
         return self.extensions.demand("kite", self.table.require_free)
 
 
-@pytest.mark.parametrize(
+@each(
     ("fails", "done"),
     [("make", ["make"]), ("registered", ["make", "registered", "close"]), ("name", ["make", "close"])],
 )

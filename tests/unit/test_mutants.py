@@ -10,6 +10,8 @@ import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+import pytest
+
 from mutants.__main__ import equivalent, sampled
 from mutants.changes import changed_tree, mutants
 from mutants.rooms import ROOMS, SRC, UNIT
@@ -90,6 +92,7 @@ def measured(folder: Path, tests: str) -> tuple[dict[str | None, str | None], li
     return dict(results), errors
 
 
+@pytest.mark.deep  # processes of pytest
 def test_killed_is_what_a_test_fails_with_and_nothing_else(tmp_path: Path) -> None:
     """Frozen functions too: while none of them was found, the error in each fork counted as a failed test."""
     results, errors = measured(tmp_path, ITS_TESTS)
@@ -107,6 +110,7 @@ def test_killed_is_what_a_test_fails_with_and_nothing_else(tmp_path: Path) -> No
     }
 
 
+@pytest.mark.deep  # processes of pytest
 def test_tests_that_fail_a_second_time_and_changes_of_no_function_are_errors(tmp_path: Path) -> None:
     _, errors = measured(tmp_path, ITS_TESTS + ONLY_ONCE)
     assert errors == ["measured.py: as it is: tests fail when they run again"]

@@ -31,9 +31,16 @@ def modules() -> dict[str, ast.Module]:
     return found
 
 
+@cache
+def nodes() -> dict[str, list[ast.AST]]:
+    """Dotted module name -> the nodes of its tree that any rule looks at: to walk them all takes a second."""
+    kinds = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.AsyncFunctionDef, ast.Expr)
+    return {name: [node for node in ast.walk(tree) if isinstance(node, kinds)] for name, tree in modules().items()}
+
+
 def imported(module: str) -> Iterator[str]:
     """The modules of skygcs that this one imports, wherever in the file: lazily and for type checking too."""
-    for node in ast.walk(modules()[module]):
+    for node in nodes()[module]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in modules())
         elif isinstance(node, ast.ImportFrom) and node.module in modules():
@@ -45,31 +52,21 @@ def imported(module: str) -> Iterator[str]:
 def test_a_function_fits_a_screen() -> None:
     long = [
         f"{module}.{node.name}: {lines} lines"
-        for module, tree in modules().items()
-        for node in ast.walk(tree)
+        for module, found in nodes().items()
+        for node in found
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > MAX_FUNCTION_LINES
     ]
     assert long == []
 
 
-def texts(tree: ast.Module) -> Iterator[str]:
-    """Docstrings of modules, classes and functions, and the texts below attributes and constants."""
-    for node in ast.walk(tree):
-        for block in ("body", "orelse", "finalbody"):
-            statements = getattr(node, block, [])
-            for statement in statements if isinstance(statements, list) else ():
-                match statement:
-                    case ast.Expr(value=ast.Constant(value=str(text))):
-                        yield text
-
-
 def test_no_docstring_is_half_a_sentence() -> None:
     assert [
-        f"{module}: {text.splitlines()[0]}"
-        for module, tree in modules().items()
-        for text in texts(tree)
-        if text.split(maxsplit=1)[0].rstrip(":,") in NO_BEGINNING
+        f"{module}: {node.value.value.splitlines()[0]}"
+        for module, found in nodes().items()
+        for node in found
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        if node.value.value.split(maxsplit=1)[0].rstrip(":,") in NO_BEGINNING
     ] == []
 
 

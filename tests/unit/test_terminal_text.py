@@ -9,6 +9,7 @@ import pytest
 from skygcs.cli.log_limit import BURST_LINES, MAX_KINDS, LogLimit
 from skygcs.cli.serve import main
 from skygcs.terminal_text import visible
+from support.table import each
 
 
 def test_what_moves_a_terminal_is_shown_and_does_nothing() -> None:
@@ -18,7 +19,7 @@ def test_what_moves_a_terminal_is_shown_and_does_nothing() -> None:
     assert visible("a\nb\tc\r\x1b", lines=True) == "a\nb\tc\\r\\x1b"
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         '[links."\\u001b[31mx"]\ntype = "none"\n',

@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 
 from support.browser import until
 from support.map_files import tile_at, tiles_about, write_mbtiles, write_pmtiles
-from support.page_steps import IN_TROUBLE, fits
+from support.page_steps import IN_TROUBLE, VIEW_PEN, fits
 from support.web_station import WebStation
 
 OpenPage = Callable[..., Page]
@@ -22,7 +22,9 @@ Shot = Callable[[Page, str], Path]
 
 ORIGIN = (43.7806, -79.4653)
 
-PIXEL = """([lat, lon]) => {
+PIXEL = (
+    f"([lat, lon]) => {{ const pen = {VIEW_PEN};"
+    + """
     const { view } = skygcs, c = view.camera, canvas = document.querySelector('.viewpane canvas');
     const RAD = Math.PI / 180, f = view.frame;
     // metres along the frame's axes, near enough for a tile of 40 m
@@ -31,13 +33,19 @@ PIXEL = """([lat, lon]) => {
     const x = east * Math.cos(turn) + north * Math.sin(turn), y = -east * Math.sin(turn) + north * Math.cos(turn);
     const ratio = canvas.width / canvas.getBoundingClientRect().width;
     const px = (c.widthPx / 2 + (x - c.x) * c.pxPerM) * ratio, py = (c.heightPx / 2 - (y - c.y) * c.pxPerM) * ratio;
-    const { data } = canvas.getContext('2d').getImageData(px - 3, py - 3, 6, 6);
+    const { data } = pen.getImageData(px - 3, py - 3, 6, 6);
     const mean = k => Array.from({length: 36}, (_, i) => data[4 * i + k]).reduce((a, b) => a + b) / 36;
     return [mean(0), mean(1), mean(2)];
 }"""
+)
 """Colour of the canvas at a place on Earth."""
 
-LOOK_AT = "zoom => { skygcs.view.camera = {...skygcs.view.camera, x: 0, y: 0, pxPerM: zoom}; skygcs.view.redraw(); }"
+LOOK_AT = """zoom => {
+    const { view } = skygcs;
+    view.zoom(1);  // as by a hand: the view is not fitted to a vehicle that is drawn later
+    view.camera = {...view.camera, x: 0, y: 0, pxPerM: zoom};
+    view.redraw();
+}"""
 
 
 def centre(zoom: int, x: int, y: int) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import WebSocketRoute, expect
 
 from support.browser import until
-from support.page_steps import click_view, drop, fits, hold, select, side
+from support.page_steps import VIEW, click_view, drop, fits, hold, select, side
 
 WPL = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t43.7806\t-79.4653\t180\t1
@@ -78,7 +78,7 @@ def test_waypoints_are_drawn_moved_and_uploaded(station, open_page, shot) -> Non
     check = page.get_by_role("region", name="Check of drawn.plan")
     expect(check).to_contain_text("5 mission items")
     points = page.evaluate("[...document.querySelectorAll('.points li .link')].map(e => e.textContent)")
-    box = page.locator(".viewpane canvas").first.bounding_box()
+    box = page.locator(VIEW).bounding_box()
     page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
     page.mouse.down()
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"], steps=5)

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from support.browser import LIMIT_S, until
-from support.page_steps import hold, until_acted
+from support.page_steps import VIEW, VIEW_PEN, hold, until_acted
 from support.web_station import WebStation
 
 OpenPage = Callable[..., Page]
@@ -105,7 +105,7 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     until(page, "skygcs.store.state.vehicles.get('v1').position.alt_rel_m > 6")
     page.keyboard.press("g")
     expect(page.locator(".toolhint")).to_be_visible()
-    box = page.locator("canvas").bounding_box()
+    box = page.locator(VIEW).bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + 500, box["y"] + 150)
     x, y = (float(page.get_by_label(f"{axis} in metres from the origin").input_value()) for axis in "xy")
@@ -128,17 +128,20 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     the_one_sent(page, "vehicles.rtl")
 
 
-MARKED = """([x, y]) => {
+MARKED = (
+    f"([x, y]) => {{ const pen = {VIEW_PEN};"
+    + """
     const canvas = document.querySelector('canvas'), k = canvas.width / canvas.getBoundingClientRect().width;
     const probe = document.body.appendChild(document.createElement('i'));
     probe.style.color = 'var(--accent)';
     const [r, g, b] = getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
     probe.remove();
-    const { data } = canvas.getContext('2d').getImageData((x - 9) * k, (y - 9) * k, 18 * k, 18 * k);
+    const { data } = pen.getImageData((x - 9) * k, (y - 9) * k, 18 * k, 18 * k);
     let found = 0;
     for (let i = 0; i < data.length; i += 4) found += Math.hypot(data[i] - r, data[i + 1] - g, data[i + 2] - b) < 40;
     return found;
 }"""
+)
 """Pixels of a draft's colour about a point of the canvas."""
 
 

@@ -131,3 +131,15 @@ def test_two_fingers_zoom_the_view(page: Page) -> None:
     after = page.evaluate("skygcs.view.camera.pxPerM")
     assert after == pytest.approx(before * 190 / 50, rel=0.15)
     assert page.evaluate("window.visualViewport.scale") == 1
+
+
+def test_the_view_is_fitted_when_it_is_first_opened_though_a_tool_was_taken_before(page: Page) -> None:
+    page.evaluate("skygcs.view.setTool({cursor: 'crosshair', hint: 'Click points'})")
+    pane(page, "View")
+    until(page, "skygcs.view.figures.frames > 3 && skygcs.view.camera.widthPx > 0")
+    inside = """() => {
+        const { view, store } = skygcs, c = view.camera;
+        return [...store.state.vehicles.values()].every(({ position: { enu_m: [x, y] } }) =>
+            Math.abs(x - c.x) * c.pxPerM < c.widthPx / 2 && Math.abs(y - c.y) * c.pxPerM < c.heightPx / 2);
+    }"""
+    until(page, f"({inside})() && skygcs.view.camera.x !== 0")

@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from support.browser import until
+from support.page_steps import VIEW, VIEW_PEN
 from support.web_station import WebStation
 
 OpenPage = Callable[..., Page]
@@ -38,14 +39,14 @@ def page(station: WebStation, open_page: OpenPage) -> Page:
 
 
 def canvas_colour(page: Page, x: float, y: float) -> tuple[int, ...]:
-    """Of one pixel of the canvas, at a place of the screen."""
+    """The colour of one pixel of the fleet view; ``x``, ``y``: its place on the screen."""
     return tuple(
         page.evaluate(
-            """([x, y]) => {
+            f"""([x, y]) => {{
                 const canvas = document.querySelector('canvas'), box = canvas.getBoundingClientRect();
                 const k = canvas.width / box.width;
-                return [...canvas.getContext('2d').getImageData((x - box.left) * k, (y - box.top) * k, 1, 1).data];
-            }""",
+                return [...{VIEW_PEN}.getImageData((x - box.left) * k, (y - box.top) * k, 1, 1).data];
+            }}""",
             [x, y],
         )
     )
@@ -83,7 +84,7 @@ def test_pan_zoom_fit_and_follow_by_mouse_and_keyboard(page: Page) -> None:
     assert page.evaluate(camera)["x"] == pytest.approx(zoomed["x"] - 100 / zoomed["pxPerM"])
     page.keyboard.press("f")
     assert page.evaluate(camera) == pytest.approx(before)
-    page.locator("canvas").focus()
+    page.locator(VIEW).focus()
     page.keyboard.press("ArrowLeft")
     assert page.evaluate(camera)["x"] < before["x"]
     page.locator("tr.row[data-name=v1]").click()
@@ -92,8 +93,47 @@ def test_pan_zoom_fit_and_follow_by_mouse_and_keyboard(page: Page) -> None:
     until(page, "Math.abs(skygcs.view.camera.x - skygcs.store.state.vehicles.get('v1').position.enu_m[0]) < 0.5")
 
 
+def test_the_view_stays_while_a_person_draws_on_it(page: Page) -> None:
+    """What is drawn makes the panel higher and the canvas smaller; the view was fitted anew with each point."""
+    place = "(({x, y, pxPerM}) => [x, y, pxPerM])(skygcs.view.camera)"
+    page.evaluate("skygcs.view.setTool({cursor: 'crosshair', hint: 'Click points'})")
+    before, height = page.evaluate(place), page.evaluate("skygcs.view.camera.heightPx")
+    far = "{kind: 'path', ink: 'draft', points: [[0, 0, 0], [900, 900, 0]]}"
+    page.evaluate(f"skygcs.view.setOverlay('drawn', {{shapes: [{far}], fit: true}})")
+    page.set_viewport_size({"width": 1600, "height": 700})
+    until(page, f"skygcs.view.camera.heightPx !== {height}")
+    frames = page.evaluate("skygcs.view.figures.frames")
+    until(page, f"skygcs.view.figures.frames > {frames + 1}")
+    assert page.evaluate(place) == before
+    page.keyboard.press("Escape")
+    page.set_viewport_size({"width": 1600, "height": 900})
+    until(page, f"skygcs.view.camera.heightPx === {height}")
+    assert page.evaluate(place) == before
+    page.keyboard.press("f")
+    until(page, f"skygcs.view.camera.pxPerM < {before[2]}")
+
+
+def test_a_shape_is_drawn_with_the_next_frame_though_what_lies_beneath_is_kept(page: Page) -> None:
+    page.wait_for_timeout(700)  # nothing is due on it
+    x, y = page.evaluate(SCREEN_OF, "v1")
+    before = canvas_colour(page, x + 60, y + 60)
+    page.evaluate(
+        """async () => {
+            const { view, store } = skygcs, [x, y] = store.state.vehicles.get('v1').position.enu_m;
+            const by = 60 / view.camera.pxPerM, points = [[x + by, y - by, 0], [x + 2 * by, y - by, 0]];
+            view.setOverlay('line', {shapes: [{kind: 'path', ink: 'danger', widthPx: 9, points}]});
+            await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+        }"""
+    )
+    drawn = canvas_colour(page, x + 62, y + 60)
+    assert drawn[0] > 1.5 * drawn[2], (before, drawn)
+    page.evaluate("skygcs.view.setOverlay('line', null)")
+    until(page, f"skygcs.view.figures.frames > {page.evaluate('skygcs.view.figures.frames') + 1}")
+    assert canvas_colour(page, x + 62, y + 60) != drawn
+
+
 def test_a_rectangle_selects_with_shift_and_escape_selects_nothing(page: Page) -> None:
-    box = page.locator("canvas").bounding_box()
+    box = page.locator(VIEW).bounding_box()
     assert box is not None
     page.keyboard.down("Shift")
     page.mouse.move(box["x"] + 5, box["y"] + 60)
@@ -116,8 +156,8 @@ def test_layers_are_switched_and_remembered(page: Page) -> None:
     expect(page.get_by_role("button", name="Heights")).to_have_attribute("aria-pressed", "false")
 
 
-def test_one_canvas_and_no_element_for_each_vehicle(page: Page) -> None:
-    assert page.locator("canvas").count() == 1
+def test_two_canvases_and_no_element_for_each_vehicle(page: Page) -> None:
+    assert page.locator("canvas").count() == 2
     assert page.locator(".viewpane *").count() < 40
 
 
@@ -256,7 +296,7 @@ def test_a_browser_whose_offscreen_canvas_draws_nothing_shows_vehicles_and_label
         colours = {canvas_colour(page, x + dx, y + dy) for dx in range(-6, 7, 2) for dy in range(-6, 7, 2)}
         assert len(colours) > 2, name
         box, (dx, dy) = (
-            page.locator("canvas").first.bounding_box(),
+            page.locator(VIEW).bounding_box(),
             page.evaluate("name => [skygcs.view.placements.get(name).dx, skygcs.view.placements.get(name).dy]", name),
         )
         assert box is not None

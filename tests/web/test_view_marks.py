@@ -9,10 +9,12 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from support.browser import until
-from support.page_steps import fits
+from support.page_steps import VIEW, VIEW_PEN, fits
 
-COUNT = """
-const canvas = document.querySelector('canvas'), pen = canvas.getContext('2d');
+COUNT = (
+    f"const pen = {VIEW_PEN};"
+    + """
+const canvas = document.querySelector('canvas');
 const ratio = canvas.width / canvas.getBoundingClientRect().width, c = skygcs.view.camera;
 const ink = (name) => {
   const one = document.createElement('canvas').getContext('2d');
@@ -31,6 +33,7 @@ const count = (xPx, yPx, reachPx, name) => {
 const screen = (x, y) => [c.widthPx / 2 + (x - c.x) * c.pxPerM, c.heightPx / 2 - (y - c.y) * c.pxPerM];
 const placeOf = (name) => skygcs.store.state.vehicles.get(name).position.enu_m;
 """
+)
 """count(x, y, reach, colour's name): pixels of nearly this colour about a point of the canvas. screen(x, y): where a
 place of the fleet's frame is."""
 
@@ -130,7 +133,7 @@ def test_arrows_point_to_vehicles_off_the_screen(station, open_page, shot, width
     until(page, on_canvas(f"count({arrow}.xPx, {arrow}.yPx, 9, 'vehicle-1') > 40"))
     assert fits(page)
     shot(page, f"view-arrows-{width}-{theme}")
-    box = page.locator(".viewpane canvas").first.bounding_box()
+    box = page.locator(VIEW).bounding_box()
     assert box is not None
     x, y = page.evaluate(f"[{arrow}.xPx, {arrow}.yPx]")
     page.mouse.click(box["x"] + x, box["y"] + y)

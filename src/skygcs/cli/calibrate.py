@@ -47,7 +47,10 @@ def calibrate(
     ] = None,
     cancel: Annotated[bool, typer.Option("--cancel", help="End the calibration that runs.")] = False,
     confirm: Annotated[
-        bool, typer.Option("--confirm", help="The vehicle lies as it asked; for a calibration begun elsewhere.")
+        bool,
+        typer.Option(
+            "--confirm", help="The vehicle is in the pose that it asked for; for a calibration begun elsewhere."
+        ),
     ] = False,
     json_output: Json = False,
 ) -> None:

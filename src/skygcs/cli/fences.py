@@ -238,7 +238,7 @@ def _undo_run(
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Set the values of before, and read them back.
+    """Restore the earlier values, and read them back.
 
     Example: skygcs-cli undo run all
     """

@@ -8,6 +8,7 @@
   zoneinfo, and with it sysconfig's thousand settings of the build, for fields that are time zones, of which skygcs has
   none; and uuid, which imports platform to learn that this is Linux.
 - tempfile and argparse import shutil, which looks for the libraries of three kinds of archives.
+- structlog imports pickle for the name of an error.
 
 Whatever imports one of these later gets the real module. `skygcs web`, which serves TLS, is a process of its own that
 does not come here.
@@ -90,8 +91,8 @@ def _speaks_tls(text: bytes) -> bool:
 
 
 def prepare_daemon(*, tls: bool = False) -> None:
-    """Import asyncio, uvloop, hashlib and pydantic as above; does nothing for those that are imported already. ``tls``:
-    with OpenSSL, as the daemon serves or calls over TLS."""
+    """Import asyncio, uvloop, hashlib, pydantic and structlog as above; does nothing for those that are imported
+    already. ``tls``: with OpenSSL, as the daemon serves or calls over TLS."""
     if not tls and "_hashlib" not in sys.modules and all(util.find_spec(name) for name in BUILT_IN_HASHES):
         with _instead_of("_hashlib", None):
             importlib.import_module("hashlib")
@@ -109,6 +110,8 @@ def prepare_daemon(*, tls: bool = False) -> None:
             importlib.import_module("shutil")
     if "pydantic" not in sys.modules:
         _import_pydantic()
+    if "structlog" not in sys.modules and "pickle" not in sys.modules:
+        _import_structlog()
 
 
 def _import_pydantic() -> None:
@@ -126,6 +129,13 @@ def _import_pydantic() -> None:
             importlib.import_module(name)
         with contextlib.suppress(ImportError):  # no public module: where it is absent it is imported by nothing
             importlib.import_module("pydantic.plugin._loader")
+
+
+def _import_structlog() -> None:
+    from skygcs.cli.process import import_structlog  # which imports asyncio
+
+    with _instead_of("pickle", StandIn("pickle", {"PicklingError": type("PicklingError", (Exception,), {})})):
+        import_structlog()
 
 
 @contextlib.contextmanager

@@ -387,7 +387,7 @@ def _start(
 
 @missions.command("end-turns")
 def _end_turns(json_output: Json = False) -> None:
-    """End missions one after another: who flies goes on, who waits does not start.
+    """End `mission start --one-after-another`: the vehicle that flies goes on, those that wait do not start.
 
     Example: skygcs-cli mission end-turns
     """

@@ -45,7 +45,7 @@ def get(
     force: Annotated[bool, typer.Option("--force", help="Over a radio, too.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Get logs over USB or Wi-Fi into the daemon's log folder; the same command goes on where one was broken off.
+    """Get logs over USB or Wi-Fi into the daemon's log folder; the same command resumes one that was interrupted.
 
     A .bin of ArduPilot, a .ulg of PX4. Several vehicles at the same time. The vehicles must be disarmed.
 
@@ -71,7 +71,7 @@ def get(
 
 def _number(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) < 65536):
-        raise typer.BadParameter(f"{text!r} is no number of a log; `skygcs-cli log list` shows them")
+        raise typer.BadParameter(f"{text!r} is not a number of a log; `skygcs-cli log list` shows them")
     return int(text)
 
 

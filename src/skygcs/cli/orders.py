@@ -153,7 +153,10 @@ def takeoff(
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm first if it is not armed.")] = True,
     force: Annotated[
-        bool, typer.Option("--force", help="Skip a required preflight; though another vehicle is in the way.")
+        bool,
+        typer.Option(
+            "--force", help="Although preflight is required and not passed, or another vehicle is in the way."
+        ),
     ] = False,
     wait: Wait = 0.0,
     json_output: OrderJson = None,

@@ -217,7 +217,7 @@ class PtyPort(SimPort):
 
     async def open(self) -> str:
         if self._path.exists() and not self._path.is_symlink():
-            raise LinkError(f"pty {self._path}: something that is no symlink is there already")
+            raise LinkError(f"pty {self._path}: something that is not a symlink is there already")
         try:
             self._master, self._slave = pty.openpty()
             tty.setraw(self._slave)

@@ -153,7 +153,7 @@ def _params_of_file(path: Path) -> dict[Autopilot, dict[str, str]]:
     except OSError as error:
         raise ConfigError(str(path), [error.strerror or str(error)]) from None
     except UnicodeDecodeError:
-        raise ConfigError(str(path), ["is no text in UTF-8"]) from None
+        raise ConfigError(str(path), ["is not text in UTF-8"]) from None
     own = {"SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID", "SYS_AUTOSTART"}
     values = {entry.name: str(entry.value) for entry in file.entries if entry.name not in own}
     stack = file.about.get("Stack", "PX4" if file.kind == "qgc" else "ArduPilot")

@@ -190,7 +190,7 @@ def stream_problems(config: FleetConfig, dialect: Dialect) -> list[Problem]:
 
 def _message_problem(message: str | int, dialect: Dialect) -> str | None:
     if isinstance(message, int) or message.isdecimal():
-        return None if 0 <= int(message) <= MAX_MSGID else f"{message} is no message id (0 to {MAX_MSGID})"
+        return None if 0 <= int(message) <= MAX_MSGID else f"{message} is not a message id (0 to {MAX_MSGID})"
     try:
         dialect.find(message)
     except KeyError:
@@ -356,7 +356,7 @@ def _own_places(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
     for name, link in links.items():
         if isinstance(link, UdpClientLinkConfig | UdpBroadcastLinkConfig | TcpClientLinkConfig):
             if not link.port:
-                yield Problem(("links", name, "port"), "0 is no port to send to")
+                yield Problem(("links", name, "port"), "0 is not a port to send to")
             kind = UdpServerLinkConfig if not isinstance(link, TcpClientLinkConfig) else TcpServerLinkConfig
             heard = link.host in _LOOPBACK or isinstance(link, UdpBroadcastLinkConfig)
             for other, server in links.items():

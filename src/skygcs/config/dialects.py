@@ -23,7 +23,7 @@ from skygcs.core.mavlink.dialect import ABSENT, MAX_PAYLOAD_BYTES, Dialect, Fiel
 from skygcs.errors import DialectError
 from skygcs.spelling import near_names
 
-TABLE_FORMAT = 2
+TABLE_FORMAT = 3
 """Raised whenever the same XML gives another table: old cache files are then never read."""
 
 MAX_INCLUDE_DEPTH = 5
@@ -98,9 +98,9 @@ def load_dialect(
     for path, content in sources:
         digest.update(path.name.encode() + b"\0" + content + b"\0")
     label = "+".join(root.stem for root in roots)
-    cache = (cache_dir or default_cache_dir()) / f"{label}-{digest.hexdigest()[:24]}.json"
+    cache = (cache_dir or default_cache_dir()) / f"{label}-{digest.hexdigest()[:24]}.table"
     with contextlib.suppress(OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return Dialect.from_table(json.loads(cache.read_bytes()))
+        return Dialect.from_table(json.loads(_checked(cache.read_bytes())))
     dialect = _generate(label, sources)
     _store(cache, dialect)
     return dialect
@@ -120,7 +120,7 @@ def located(name_or_path: str, folder: Path) -> str:
         return name_or_path
     path = Path(os.path.normpath(folder / os.path.expanduser(name_or_path)))  # which leaves ~nobody: no such file
     shipped = shipped_dialects_dir() / path.name
-    if not path.exists() and _place_of_shipped(name_or_path) and shipped.is_file():
+    if not os.path.exists(path) and _place_of_shipped(name_or_path) and os.path.isfile(shipped):
         return str(shipped)
     return str(path)
 
@@ -132,13 +132,13 @@ def _is_path(text: str) -> bool:
 def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
     if _is_path(name_or_path):
         path = Path(located(name_or_path, base_dir or Path()))
-        if path.is_file():
+        if os.path.isfile(path):
             return path
-        text = "is a folder" if path.is_dir() else f"no such dialect file{_names_instead(path.stem)}"
+        text = "is a folder" if os.path.isdir(path) else f"no such dialect file{_names_instead(path.stem)}"
         raise DialectError(str(path), None, text)
     for folder in (shipped_dialects_dir(), packaged_dialects_dir()):
         path = folder / f"{name_or_path}.xml"
-        if path.is_file():
+        if os.path.isfile(path):
             return path
     known = sorted({p.stem for d in (shipped_dialects_dir(), packaged_dialects_dir()) for p in d.glob("*.xml")})
     near = near_names(name_or_path, known, n=1)
@@ -157,7 +157,7 @@ def _names_instead(stem: str) -> str:
     shipped = sorted(path.stem for path in shipped_dialects_dir().glob("*.xml"))
     if stem in shipped:
         return f"; the shipped one is called {stem}"
-    if (packaged_dialects_dir() / f"{stem}.xml").is_file():
+    if os.path.isfile(packaged_dialects_dir() / f"{stem}.xml"):
         return f"; pymavlink's is called {stem}"
     near = near_names(stem, shipped, n=1)
     return f"; did you mean {SHIPPED_FOLDER}/{near[0]}.xml, which is shipped?" if near else ""
@@ -199,7 +199,7 @@ def _resolve_include(including: Path, line: int, name: str) -> Path:
         packaged_dialects_dir() / Path(name).name,
         shipped_dialects_dir() / name,
     ):
-        if candidate.is_file():
+        if os.path.isfile(candidate):
             return candidate
     raise DialectError(str(including), line, f"includes {name}, which is neither beside it nor packaged with pymavlink")
 
@@ -376,7 +376,19 @@ def _store(cache: Path, dialect: Dialect) -> None:
     """Whole or not at all: two daemons that start together never read half a file."""
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        content = json.dumps(dialect.to_table(), separators=(",", ":"))
-        write_whole(cache, content.encode(), 0o600, durable=False)
+        content = json.dumps(dialect.to_table(), separators=(",", ":")).encode()
+        write_whole(cache, _digest_line(content) + content, 0o600, durable=False)
     except OSError:
         return  # a read-only home costs a second at every start, not a flight
+
+
+def _digest_line(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode() + b"\n"
+
+
+def _checked(stored: bytes) -> bytes:
+    """The content of a cache file without its digest, as much of it is read in flight only. Raises ValueError."""
+    line, found, content = stored.partition(b"\n")
+    if line + found != _digest_line(content):
+        raise ValueError("a file of the cache was changed")
+    return content

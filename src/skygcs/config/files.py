@@ -1,5 +1,5 @@
 """Files that the fleet file or a command names: read, but never a pipe or device, which would stop the daemon; written
-whole or not at all."""
+whole or not at all; and the clock of what outlives a sleep or a process."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import errno
 import os
 import stat
 import tempfile
+import time
 from pathlib import Path
 from typing import BinaryIO
 
@@ -140,3 +141,21 @@ def read_token(table: str, path: Path | None) -> str | None:
     if len(token) < 16:
         raise LinkError(f"{table}.token_file {path}: the token needs at least 16 characters")
     return token
+
+
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+def boot_s() -> float:
+    """CLOCK_BOOTTIME, in seconds: it goes on while this computer sleeps, nobody sets it, and all processes of this
+    computer read the same. Whatever counts across processes, or across a sleep, is timed by it."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def boot_id() -> str:
+    """The kernel's id of this start of the computer, for a file that outlives a process: its times by `boot_s` count
+    within the same start alone. "": not known, and equal to no other."""
+    try:
+        return BOOT_ID.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""

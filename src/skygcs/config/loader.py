@@ -8,8 +8,9 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
@@ -25,7 +26,7 @@ from skygcs.config.checks import (
 from skygcs.config.dialects import load_dialect, located
 from skygcs.config.extension_tables import TableOwner, find_owners, installed, places_of_control
 from skygcs.config.files import read_named
-from skygcs.config.models import NO_TABLES, AnyLink, FleetConfig, LinkCommon, LinkConfig
+from skygcs.config.models import LINK_TYPES, NO_TABLES, AnyLink, FleetConfig, LinkCommon, LinkConfig
 from skygcs.config.tables import KeyPath, Problem, key_lines, line_of, model_at, with_absolute_paths
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
@@ -33,8 +34,6 @@ from skygcs.number_text import parse_toml
 from skygcs.spelling import near_names
 
 _CORE_TABLES = set(FleetConfig.model_fields) - NO_TABLES
-
-_LINK_TYPES: dict[str, type[LinkCommon]] = {m.model_fields["type"].default: m for m in get_args(LinkConfig)}
 
 _EXPECTED = {
     "int_type": "a whole number",
@@ -59,6 +58,13 @@ _EXPECTED = {
 
 RENAMED_KEYS = {"foreign": "third_party", "control_way": "control_mode", "present_as": "translated_sysid"}
 """Keys of fleet files written for an earlier version: old -> new, wherever the new one is known."""
+
+MAX_PROBLEM_CHARS = 2000
+"""A problem repeats what the file has, which may be of any length."""
+
+MAX_NAME_BYTES, MAX_PATH_BYTES = 255, 4095
+"""Linux' NAME_MAX, which all its file systems have, and PATH_MAX without the zero at its end: a longer one raises
+ENAMETOOLONG wherever it is looked at."""
 
 _BOUNDS = {
     "greater_than_equal": ("at least", "ge"),
@@ -113,13 +119,19 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
     return config, dialect
 
 
+@cache
+def _link_adapter() -> TypeAdapter[LinkConfig]:
+    """Validates links by `config.models.validated_link`; for the first of a type the loop waits 2 ms."""
+    return TypeAdapter(AnyLink)
+
+
 def parse_link(name: str, table: dict[str, Any], dialect: Dialect | None = None) -> LinkConfig:
     """One link as it would stand in [links.NAME], for links added at run time. Raises ConfigError as `load_fleet`."""
     whole = {"links": {name: table}}
     if problems := _nul_characters(whole):
         raise ConfigError(f"link {name}", _shown(problems, {}))
     try:
-        link: LinkConfig = TypeAdapter(AnyLink).validate_json(_as_json({**table, "name": name}), strict=True)
+        link: LinkConfig = _link_adapter().validate_json(_as_json({**table, "name": name}), strict=True)
     except ValidationError as error:
         found = [{**e, "loc": ("links", name, *e["loc"])} for e in error.errors(include_url=False)]
         raise ConfigError(f"link {name}", _shown(_translated(found, whole), {})) from None  # type: ignore[arg-type]
@@ -312,12 +324,12 @@ def _wanted(error: ErrorDetails) -> str | None:
 
 
 def _link_type_problem(error: ErrorDetails) -> str | None:
-    known = ", ".join(_LINK_TYPES)
+    known = ", ".join(LINK_TYPES)
     if error["type"] == "union_tag_not_found":
         return f"has no type; it must be one of {known}"
     if error["type"] == "union_tag_invalid":
         tag = str(error["ctx"]["tag"])
-        return f"type must be one of {known}, not {_quoted(tag)}" + _did_you_mean(tag, _LINK_TYPES)
+        return f"type must be one of {known}, not {_quoted(tag)}" + _did_you_mean(tag, LINK_TYPES)
     return None
 
 
@@ -368,10 +380,13 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
 
     def absolute(value: Path, key: KeyPath) -> Path:
         try:
-            return Path(os.path.normpath(folder / value.expanduser()))
+            found = Path(os.path.normpath(folder / value.expanduser()))
         except RuntimeError:
             problems.append(Problem(key, f"{_quoted(str(value))}: there is no user of this name, or no home of theirs"))
             return value
+        if max(map(_bytes_of, found.parts)) > MAX_NAME_BYTES or _bytes_of(str(found)) > MAX_PATH_BYTES:
+            problems.append(Problem(key, f"{_quoted(str(value))}: no file may have so long a name"))
+        return found
 
     dialect = tuple(located(name, folder) for name in _listed(config.dialect))
     extensions = {name: with_absolute_paths(part, (name,), absolute) for name, part in config.extensions.items()}
@@ -379,11 +394,20 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
     return core.model_copy(update={"dialect": dialect, "extensions": extensions}), problems
 
 
+def _bytes_of(text: str) -> int:
+    return len(text.encode("utf-8", "surrogatepass"))
+
+
 def _shown(problems: list[Problem], lines: dict[KeyPath, int]) -> list[str]:
     """One line of text per problem, in the order of the file."""
     placed = [(line_of(p.path, lines), p) for p in problems]
     placed.sort(key=lambda pair: pair[0] or 0)
-    return [_key_text(p.path) + (f" (line {line})" if line else "") + f": {p.text}" for line, p in placed]
+    where = [_key_text(p.path) + (f" (line {line})" if line else "") for line, p in placed]
+    return [f"{_cut(key)}: {_cut(p.text)}" for key, (_, p) in zip(where, placed, strict=True)]
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MAX_PROBLEM_CHARS else text[:MAX_PROBLEM_CHARS] + "…"
 
 
 def _key_text(path: KeyPath) -> str:

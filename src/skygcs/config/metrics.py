@@ -33,7 +33,7 @@ class MetricsConfig(Model):
         try:
             return str(ipaddress.ip_address(host))
         except ValueError:
-            raise ValueError(f'"{host}" is no numeric address: write 127.0.0.1, 0.0.0.0 or ::1') from None
+            raise ValueError(f'"{host}" is not a numeric address: write 127.0.0.1, 0.0.0.0 or ::1') from None
 
     @model_validator(mode="after")
     def _others_need_a_token(self) -> MetricsConfig:

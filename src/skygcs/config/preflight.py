@@ -23,7 +23,7 @@ Limit = Annotated[float, Field(ge=0)]
 
 def _param_name(text: str) -> str:
     if not is_name(text):
-        raise ValueError(f"{text!r} is no parameter's name: letters, digits and _, at most {NAME_CHARS}")
+        raise ValueError(f"{text!r} is not a parameter's name: letters, digits and _, at most {NAME_CHARS}")
     return text.upper()
 
 
@@ -64,9 +64,9 @@ class RuleSettings(Model):
     @model_validator(mode="after")
     def _possible(self) -> RuleSettings:
         if self.min is not None and self.max is not None and self.min > self.max:
-            raise ValueError(f"min {self.min:g} is above max {self.max:g}: nothing is both")
+            raise ValueError(f"min {self.min:g} is above max {self.max:g}: no value satisfies both")
         if self.bits and self.no_bits and self.bits & self.no_bits:
-            raise ValueError(f"bits and no_bits both have {self.bits & self.no_bits}: nothing is both")
+            raise ValueError(f"bits and no_bits both have {self.bits & self.no_bits}: no value satisfies both")
         rule = self.rule()
         if self.one_of and not any(rule.holds(value) for value in self.one_of):
             raise ValueError("no value of in satisfies the rest of it")

@@ -158,7 +158,7 @@ def read_timing_document(file: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(str(file), [f"cannot be read: {error.strerror or error}"]) from None
     if len(content) > MAX_TIMING_BYTES:
-        raise ConfigError(str(file), [f"is longer than {MAX_TIMING_BYTES} bytes: this is no timing file"])
+        raise ConfigError(str(file), [f"is longer than {MAX_TIMING_BYTES} bytes: this is not a timing file"])
     try:
         document = parse_toml(content.decode("utf-8"))
     except ValueError as error:  # not TOML, or not UTF-8

@@ -191,6 +191,10 @@ class Channel(ABC):
         how many that were."""
         return 0
 
+    def drop_waiting(self) -> int:
+        """Forget all that waits to be sent here; how much that was."""
+        return 0
+
     def send_whole(self, data: bytes, frames: int) -> None:
         """Send so many frames as one datagram; only where ``whole_datagrams``."""
         raise NotImplementedError

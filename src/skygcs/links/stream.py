@@ -12,6 +12,7 @@ import os
 import select
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from skygcs.core.radio_link.admission import ThirdPartyRules
@@ -21,6 +22,7 @@ from skygcs.core.routing.garbage import PARK_S, GarbageGauge
 from skygcs.links.base import Channel, Link
 from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.paced import AirBudget, flow_of
+from skygcs.links.reading import waiting_bytes
 
 RESCUE_AFTER_S = 0.1
 """Silence after which what the parser holds back is searched for whole frames. The longest frame takes 49 ms at 57600
@@ -30,6 +32,9 @@ baud, so a pause of twice that is not within one; the rescue harms no slow frame
 READ_BYTES = 8192
 """Most bytes taken at one wake-up: some 200 commands, 3 ms. Where many are flooded, each takes less (`links.reading`):
 with this for each of them, 32 clients kept the loop for 0.08 s at a time."""
+
+OLD = "this process or computer stood still: what is under way is old"
+"""Why a TCP connection is made anew."""
 
 SHALLOW_BYTES = 256
 """Outstanding bytes in the kernel at which writing stops: an urgent frame then waits at most 44 ms at 57600 baud."""
@@ -139,6 +144,9 @@ class StreamIntake:
         self._timer = None
         if not self._channel.parser.pending:
             return
+        if self._channel.link.host.reading.asleep():  # it will be known to be stale, and then be dropped
+            self._timer = self._loop.call_later(RESCUE_AFTER_S, self._on_silence)
+            return
         left = self._touched_at + RESCUE_AFTER_S - self._loop.time()
         if left > 0.001:  # one timer for many reads: it is moved on only when it fires
             self._timer = self._loop.call_later(left, self._on_silence)
@@ -182,7 +190,10 @@ class QueuedChannel(Channel):
         return taken
 
     def _pop(self, now: float) -> tuple[Outgoing, Priority] | None:
-        """Return what is to be written now; None if nothing waits or the budget is spent."""
+        """Return what is to be written now; None if nothing waits, the budget is spent, or this process did not run
+        while it waited."""
+        if not self._line or self.link.host.reading.asleep():
+            return None
         popped = self._line.pop(now)
         if self.gate is not None:
             while popped is not None and not self.gate(self.id, popped[0]):  # the authority ended while it waited
@@ -197,6 +208,11 @@ class QueuedChannel(Channel):
             return isinstance(entry, OwnMessage) and flow_of(entry) == sysid
 
         gone = self.queue.drop(Priority.SETPOINT, is_for_it)
+        self.tx_dropped += gone
+        return gone
+
+    def drop_waiting(self) -> int:
+        gone = self._line.clear()
         self.tx_dropped += gone
         return gone
 
@@ -253,6 +269,7 @@ class StreamChannel(QueuedChannel):
         self._stuck: asyncio.TimerHandle | None = None
         self._closed = False
         self._watcher = DescriptorWatcher(link.loop, fd, self._on_ready)
+        link.host.reading.add(self, fd, partial(waiting_bytes, fd))
         if self.air is not None:
             self.air.on_due = lambda: link.loop.call_soon(self._on_early)  # not amid what came
 
@@ -270,6 +287,7 @@ class StreamChannel(QueuedChannel):
         if self._closed:
             return
         self._closed = True
+        self.link.host.reading.remove(self)
         self._watcher.close()
         self.intake.close()
         for timer in (self._look, self._due, self._stuck, self._parked):
@@ -279,9 +297,25 @@ class StreamChannel(QueuedChannel):
         self.tx_dropped += self._line.clear() + bool(self._rest)
         self._rest = b""
 
+    def drop_waiting(self) -> int:
+        """The frame that has been begun, too: as long as it is not complete, nothing is done with it. A connection ends
+        as soon as what waits in it has been read: more of it waits with the sender."""
+        gone = super().drop_waiting()
+        if self._rest:
+            self._rest = b""
+            self.tx_dropped += 1
+            gone += 1
+        if self._parks and not self._closed and self not in self.link.host.reading.stale:
+            self._break(OLD)
+        return gone
+
     def _on_ready(self) -> None:
+        share = self.link.host.reading.share(self)
+        if share is None:
+            return
+        data = b""
         try:
-            data = os.read(self._fd, min(READ_BYTES, self.link.host.reading.share(self).bytes))
+            data = os.read(self._fd, min(READ_BYTES, share.bytes))
         except (BlockingIOError, InterruptedError):
             pass
         except OSError as error:
@@ -293,8 +327,20 @@ class StreamChannel(QueuedChannel):
                 return
             if self.intake.feed(data) and self._parks and not self._closed:
                 self._park()
+        if self.link.host.reading.stale:
+            self._look_for_new(len(data))
         if self._blocked and not self._closed:
             self._pump()
+
+    def _look_for_new(self, taken: int) -> None:
+        """After a standstill: end with the last of what had waited."""
+        reading = self.link.host.reading
+        if self in reading.stale and reading.emptied(self, taken):
+            if self._parks:
+                self._break(OLD)
+            else:
+                self.intake.rescue()
+                reading.trust(self)
 
     def _park(self) -> None:
         """Read nothing for a while. What is sent meanwhile waits with the sender; writing goes on."""

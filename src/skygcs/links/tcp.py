@@ -33,6 +33,9 @@ KEEPALIVE_STEP_S = 5
 KEEPALIVE_TRIES = 3
 """A silent client whose cable was pulled is noticed after 10 + 3 * 5 s."""
 
+BACKLOG = 64
+"""Connections that the kernel keeps until they are accepted, and as many, and one each, whose opening is under way."""
+
 ACCEPTS_PER_WAKEUP = 16
 
 ACCEPT_AGAIN_S = 1.0
@@ -104,6 +107,7 @@ class TcpServerLink(Link):
             self._again.cancel()
             self._again = None
         for listener, readiness in self._listeners.items():
+            self.host.reading.remove(listener)
             if readiness is not None:
                 readiness.close()
             listener.close()
@@ -128,7 +132,8 @@ class TcpServerLink(Link):
             both = len(self._listeners) == 1  # the only one: it takes IPv4 clients too, as "::" is expected to
             listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, not both)
         listener.bind(address)
-        listener.listen(64)
+        listener.listen(BACKLOG)
+        self.host.reading.add(listener, listener.fileno(), lambda: 2 * (BACKLOG + 1))
         self._watch(listener)
 
     def _watch(self, listener: socket.socket) -> None:
@@ -137,10 +142,14 @@ class TcpServerLink(Link):
         )
 
     def _on_connecting(self, listener: socket.socket) -> None:
+        reading = self.host.reading
+        if reading.asleep():
+            return
         for _ in range(ACCEPTS_PER_WAKEUP):
             try:
                 sock, address = listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                reading.trust(listener)
                 return
             except OSError as error:
                 if error.errno in _OUT_OF_RESOURCES:
@@ -152,6 +161,10 @@ class TcpServerLink(Link):
             if is_of_the_last(sock.fileno()):
                 self._short_of_descriptors += 1
                 sock.close()
+            elif listener in reading.stale:
+                sock.close()  # it waited during a standstill, with what was sent then: it connects anew
+                if reading.emptied(listener, 1):
+                    reading.trust(listener)
             elif self._admission.allows(address) and self._has_place(address):
                 self._welcome(sock, address)
             else:

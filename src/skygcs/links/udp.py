@@ -32,7 +32,7 @@ from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost
 from skygcs.links.fast_path import new_fast_path, new_out
 from skygcs.links.outgoing import Outgoing
-from skygcs.links.reading import LARGEST_DATAGRAM_BYTES
+from skygcs.links.reading import LARGEST_DATAGRAM_BYTES, Share, waiting_datagrams
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath
@@ -195,6 +195,7 @@ class UdpLink(Link):
             self.loop.add_reader(sock.fileno(), on_readable)
             self._watched = sock.fileno()
             self._socket = sock
+            self.host.reading.add(self, sock.fileno(), partial(waiting_datagrams, sock), self._kept)
             self._begin(sock, address)
         except BaseException as error:
             await self.close()
@@ -205,6 +206,7 @@ class UdpLink(Link):
 
     async def close(self) -> None:
         self._session += 1
+        self.host.reading.remove(self)
         if self._watched >= 0:
             self.loop.remove_reader(self._watched)
             self._watched = -1
@@ -251,34 +253,56 @@ class UdpLink(Link):
         sock = self._socket
         if sock is None:
             return
+        share = self.host.reading.share(self)
+        if share is None:
+            return
+        taken = self._receive(sock, share)
+        if self in self.host.reading.stale and self.host.reading.emptied(self, taken):
+            self.host.reading.trust(self)
+
+    def _receive(self, sock: socket.socket, share: Share) -> int:
+        """The number of datagrams that were received."""
         receive = sock.recvfrom
         now = self.loop.time()
-        left_bytes, seconds = self.host.reading.share(self)
+        left_bytes, seconds = share
         ends_at = time.perf_counter() + seconds
-        for _ in range(DATAGRAMS_PER_WAKEUP):
+        for taken in range(DATAGRAMS_PER_WAKEUP):
             try:
                 data, address = receive(LARGEST_DATAGRAM_BYTES + 1)
             except BlockingIOError:
-                return
+                return taken
             except OSError as error:
                 self._on_receive_error(sock, error)
-                return
+                return taken
             left_bytes -= len(data)
             if len(data) > LARGEST_DATAGRAM_BYTES:
                 self._too_large += 1
             else:
                 self._on_datagram(data, address, now)
             if left_bytes <= 0 or time.perf_counter() >= ends_at:
-                return
+                return taken + 1
+        return DATAGRAMS_PER_WAKEUP
 
     def _on_readable_fast(self) -> None:
         """The fast path's turn. While it keeps datagrams that were beyond its share, the loop calls it once a turn."""
-        fast_path = self._fast_path
-        if fast_path is None or self._socket is None:
+        fast_path, sock = self._fast_path, self._socket
+        if fast_path is None or sock is None:
             return
+        reading = self.host.reading
+        share = reading.share(self)
+        if share is None:
+            if self._resuming:  # the loop does not watch the socket meanwhile
+                self.loop.call_soon(self._on_readable_fast)
+            return
+        taken = 0
         try:
-            fast_path.ready(*self.host.reading.share(self))
+            if self in reading.stale and not fast_path.kept:  # no flow is open: each is counted here
+                taken = self._receive(sock, share)
+            else:
+                fast_path.ready(*share)
         finally:
+            if self in reading.stale and reading.emptied(self, taken):
+                reading.trust(self)
             if fast_path.kept:
                 self.loop.remove_reader(self._watched)
                 self._resuming = True
@@ -286,6 +310,10 @@ class UdpLink(Link):
             elif self._resuming and self._fast_path is fast_path:
                 self._resuming = False
                 self.loop.add_reader(self._watched, self._on_readable_fast)
+
+    def _kept(self) -> int:
+        """Datagrams that the fast path has received and not handled."""
+        return 0 if self._fast_path is None else self._fast_path.kept
 
     def _on_datagram(self, data: bytes, address: Address, now: float) -> None:
         """HOT: a datagram that the fast path leaves to Python."""

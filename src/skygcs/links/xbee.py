@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Hashable
+from functools import partial
 from typing import Any
 
 import serial
@@ -25,6 +26,7 @@ from skygcs.core.xbee.modem import Heard, XBeeModem
 from skygcs.events import Event
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.outgoing import Outgoing, OwnMessage
+from skygcs.links.reading import waiting_bytes
 from skygcs.links.serial_port import discard, open_port
 from skygcs.links.stream import READ_BYTES, RESCUE_AFTER_S, DescriptorWatcher, QueuedChannel, StreamIntake
 
@@ -100,6 +102,14 @@ class XBeeChannel(QueuedChannel):
         self.tx_bytes += len(payload)
         return payload
 
+    def drop_waiting(self) -> int:
+        gone = super().drop_waiting() + bool(self._unsent)
+        self.tx_dropped += bool(self._unsent)
+        self._unsent = b""
+        if self._xbee is not None:
+            self._xbee.drop_unwritten()
+        return gone
+
     def close(self) -> None:
         """Nothing is sent after this; what waits is dropped and counted. Idempotent."""
         self._xbee = None
@@ -153,6 +163,8 @@ class XBeeLink(Link):
         self._port = open_port(config.device, config.baud, rtscts=config.rtscts, low_latency=True)
         try:
             self._watcher = DescriptorWatcher(self.loop, self._port.fileno(), self._on_ready)
+            fd = self._port.fileno()
+            self.host.reading.add(self, fd, partial(waiting_bytes, fd))
             self._write(b"".join(self.modem.start(self.loop.time())))
             self._at("expiry", EXPIRY_LOOK_S, self._look_for_silent)
             self._look_at_modem()
@@ -169,6 +181,7 @@ class XBeeLink(Link):
         watcher, self._watcher = self._watcher, None
         if watcher is not None:
             watcher.close()
+        self.host.reading.remove(self)
         port, self._port = self._port, None
         if port is not None:
             discard(port)
@@ -263,14 +276,22 @@ class XBeeLink(Link):
         self._unwritten = self._unwritten[written:]
         watcher.want_write(bool(self._unwritten))
 
+    def drop_unwritten(self) -> None:
+        """Forget what waits for the module: broadcasts, and packets that the port has not taken. The module drops the
+        begin of a packet when another one follows."""
+        self._unwritten = self._to_all = b""
+        if self._watcher is not None:
+            self._watcher.want_write(False)
+
     # -- from the module
 
     def _on_ready(self) -> None:
         port = self._port
-        if port is None:
+        share = self.host.reading.share(self)
+        if port is None or share is None:
             return
         try:
-            data = os.read(port.fileno(), min(READ_BYTES, self.host.reading.share(self).bytes))
+            data = os.read(port.fileno(), min(READ_BYTES, share.bytes))
         except (BlockingIOError, InterruptedError):
             data = None
         except OSError as error:
@@ -281,6 +302,11 @@ class XBeeLink(Link):
             return
         if data:
             self._take(self.modem.feed(data, self.loop.time()))
+        if self in self.host.reading.stale and self.host.reading.emptied(self, len(data or b"")):
+            self._take(self.modem.on_silence(self.loop.time()))
+            for channel in list(self._nodes.values()):
+                channel.intake.rescue()
+            self.host.reading.trust(self)
         if self._unwritten:
             self._flush()
         self.pump()
@@ -302,6 +328,9 @@ class XBeeLink(Link):
             self._look_at_modem()
 
     def _on_silence(self) -> None:
+        if self.host.reading.asleep():  # it will be known to be stale, and then be dropped
+            self._at("silence", RESCUE_AFTER_S, self._on_silence)
+            return
         self._take(self.modem.on_silence(self.loop.time()))
         self.pump()
 

@@ -144,6 +144,10 @@ class Client:
         """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
         return await self._connected().request(method, params)
 
+    async def call_by(self, deadline_s: float | None, method: str, /, **params: Any) -> Any:
+        """`call`; a daemon that reads it after ``deadline_s`` of its own clock (now_s of daemon.info) refuses it."""
+        return await self._connected().request(method, params, _until(deadline_s))
+
     async def order(
         self,
         method: str,
@@ -201,8 +205,7 @@ class Client:
         A daemon that reads the request after ``deadline_s`` of its own clock (now_s of daemon.info) refuses it.
         ``on_report`` gets the method and parameters of each report of an order, too.
         """
-        members = {} if deadline_s is None else {"deadline_s": deadline_s}
-        result = await self._connected().request(method, params, members, encoded=True, on_report=on_report)
+        result = await self._connected().request(method, params, _until(deadline_s), encoded=True, on_report=on_report)
         return result if isinstance(result, bytes) else json.dumps(result).encode()
 
     # -- vehicles
@@ -392,6 +395,11 @@ class Client:
         if self._connection is None:
             raise DaemonUnreachable(self.address, "not connected")
         return self._connection
+
+
+def _until(deadline_s: float | None) -> dict[str, float]:
+    """Members of a request that the daemon carries out by this time of its clock; None: whenever it is read."""
+    return {} if deadline_s is None else {"deadline_s": deadline_s}
 
 
 def _plain(targets: Targets) -> str | int | list[str | int]:

@@ -28,11 +28,12 @@ class ControlSetParams(TargetsParams):
     """Which control loops skygcs closes: none (position), position (velocity), position and velocity (attitude)."""
 
     mode: Mode = Field(
-        description="What is sent: attitude and thrust, velocities, or places; raw: what control.setpoint gives of "
-        "attitude, body rates or acceleration; off: nothing, and hold. See docs/explanation/flight-control.md."
+        description="What is sent: attitude and thrust, velocities, or places; raw: attitude, body rates or "
+        "acceleration of control.setpoint; off: nothing, and hold. See docs/explanation/flight-"
+        "control.md."
     )
     force: bool = Field(
-        False, description="Attitude although the autopilot would keep its tilt for long after setpoints were lost."
+        False, description="Attitude although the autopilot keeps its tilt for long after setpoints are lost."
     )
 
 
@@ -75,15 +76,14 @@ class SetpointParams(TargetsParams):
         description="[x, y, up] along the fleet's axes. Beside a position or velocity: fed forward; alone: raw.",
     )
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
-        None, description="From the frame's x axis, counter-clockwise; without it the yaw stays."
+        None, description="From the frame's x axis, counter-clockwise; null: it stays."
     )
     yaw_rate_dps: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         None,
-        description="Degrees per second, counter-clockwise: the yaw moves on with it. Without yaw_deg: from wherever "
-        "the nose is.",
+        description="Degrees per second, counter-clockwise. Without yaw_deg: from wherever the nose is.",
     )
     valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(
-        0.5, description="When no newer setpoint has come by then, the vehicle stays where it is."
+        0.5, description="Without a newer setpoint the vehicle stays where it is after this."
     )
     attitude: Annotated[list[float], Field(min_length=4, max_length=4)] | None = Field(
         None,
@@ -122,7 +122,7 @@ class SetpointParams(TargetsParams):
 
 
 class ControlRecordParams(TargetsParams):
-    on: bool = Field(description="Write every tick to a CSV file in the log directory while it flies.")
+    on: bool = Field(description="Begin or end.")
 
 
 class GainsOfVehicle(Result):
@@ -187,8 +187,8 @@ class ControlState(Result):
 async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
     """Fly vehicles by setpoints of skygcs, or leave them to their autopilots again.
 
-    The whole sequence: checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED), its verification; undone
-    on failure. A vehicle begins by staying where it is. "off" ends the setpoints and orders hold.
+    Checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED) and its verification; undone on failure. A
+    vehicle begins by staying where it is. "off" ends the setpoints and orders hold.
     """
     return await command(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
 
@@ -210,7 +210,7 @@ def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
 
 
 def control_status(context: Context, params: ListParams) -> list[JsonObject]:
-    """How each vehicle is flown: control mode, error, ages, ticks; as "control" in the state of the vehicle."""
+    """How each vehicle is controlled: mode, error, ages, ticks."""
     now = context.services.now()
     return [{"vehicle": v.name, **v.control_state(now)} for v in resolve(context.services, params.targets)]
 

@@ -10,10 +10,10 @@ import functools
 import importlib
 import inspect
 import json
-from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 import structlog
 from pydantic import ValidationError
@@ -64,6 +64,10 @@ class LimitExceeded(SkygcsError):
     """A client has reached a limit, its own or that of all clients together; the text names it."""
 
 
+Reach = Literal["targets", "fleet", "nothing"]
+"""Vehicles that a call waits for: those that its parameters name, any of the fleet, or none."""
+
+
 @dataclass(frozen=True)
 class Method(Generic[C]):
     """One method: its handler gets the session's context and checked parameters, and answers.
@@ -73,6 +77,10 @@ class Method(Generic[C]):
     ``always``: it is answered to a client that came when all places were taken, and while the daemon shuts down: what
     ends a flight or shows what flies. ``while_stopping``: it is answered while the daemon shuts down (5 s at most).
     ``unique_keys``: a request in which an object has a key twice is refused, as the last one would silently win.
+    ``reach``: what the gate of calls to vehicles counts while a coroutine is carried out. None: the vehicles in its
+    parameter ``targets`` or ``target``, and without such a parameter the whole fleet; only a method that sends nothing
+    to vehicles declares "nothing", so that one that is not declared is counted, and not missed. ``reached``: where
+    other parameters, or what is loaded, say which vehicles of the fleet these are: a list of targets.
     """
 
     name: str
@@ -84,6 +92,13 @@ class Method(Generic[C]):
     always: bool = False
     while_stopping: bool = False
     unique_keys: bool = False
+    reach: Reach | None = None
+    reached: Callable[[C, Any], Sequence[Any]] | None = None
+
+    @property
+    def goes_to(self) -> Reach:
+        """``reach``, or what follows from the parameters."""
+        return self.reach or ("targets" if {"targets", "target"} & self.params.model_fields.keys() else "fleet")
 
     @property
     def ends_flight(self) -> bool:
@@ -195,6 +210,11 @@ class Encoded:
 class OnDemand(Protocol):
     """Methods that come into the table when one of them is first called."""
 
+    @property
+    def extension_tables(self) -> Collection[str]:
+        """Names of the tables of the fleet file that installed extensions have; empty before `add`."""
+        ...
+
     def may_have(self, name: str) -> bool:
         """True if a method that is not in the table may come into it, or calls before this one wait for that."""
         ...
@@ -291,7 +311,8 @@ class Dispatcher(Generic[C]):
         try:
             method = self._methods.get(name)
             if method is None:
-                raise _MethodNotFound(name, self._methods)
+                tables = () if self._on_demand is None else self._on_demand.extension_tables
+                raise _MethodNotFound(name, self._methods, tables)
             if method.unique_keys and (twice := key_twice()) is not None:
                 raise InvalidParams(("", f"the key {_clip(twice)!r} is there twice in one object"))
             params = _check(method.params, request.get("params"))
@@ -351,11 +372,13 @@ class Dispatcher(Generic[C]):
 
 
 class _MethodNotFound(SkygcsError):
-    def __init__(self, name: str, known: Mapping[str, object]) -> None:
+    """``tables``: those of installed extensions, whether the fleet file has them or not."""
+
+    def __init__(self, name: str, known: Mapping[str, object], tables: Collection[str]) -> None:
         close = near_names(name[:MAX_ECHO_CHARS], known, n=3)
         hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
         table, dot, _ = name[:MAX_ECHO_CHARS].partition(".")
-        if dot and not any(one.startswith(f"{table}.") for one in known):
+        if dot and table in tables and not any(one.startswith(f"{table}.") for one in known):
             hint = f"; rpc.discover lists the methods; an extension's need its table in the fleet file, as [{table}]"
         super().__init__(f"no method {_clip(name)}{hint}")
 

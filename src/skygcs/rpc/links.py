@@ -74,7 +74,7 @@ MAX_DATA_CHARS = 65536
 class CorrectionsParams(MethodParams):
     data: str = Field(
         max_length=MAX_DATA_CHARS,
-        description="The next bytes of an RTCM 3 stream, in base64; they may begin and end anywhere in a message.",
+        description="The next bytes of an RTCM 3 stream, in base64, divided anywhere.",
     )
     source: str = Field(
         "rpc",
@@ -82,7 +82,7 @@ class CorrectionsParams(MethodParams):
         max_length=64,
         description="Name of the stream. Another one is refused until this one has ended or was silent for 10 s.",
     )
-    end: bool = Field(False, description="This is its last piece: another source may follow at once.")
+    end: bool = Field(False, description="Its last piece: another source may follow at once.")
 
 
 class CorrectionsTaken(Result):
@@ -128,7 +128,7 @@ class CorrectionsStatus(Result):
 
 
 def links_list(context: Context, _: NoParams) -> list[JsonObject]:
-    """Every link: its kind, state, vehicles if it is bound to some, channels, and counters per channel and source."""
+    """Every link: kind, state, bound vehicles, channels, and counters per channel and source."""
     return context.services.links.status()
 
 
@@ -161,7 +161,7 @@ def link_status(context: Context, _: NoParams) -> list[JsonObject]:
 
 
 def link_select(context: Context, params: SelectParams) -> JsonObject:
-    """Give some vehicles twice the others' part of a radio that is too narrow for all, until the next selection."""
+    """Give some vehicles twice the others' part of a radio that is too narrow for all."""
     chosen = [] if params.targets is None else resolve(context.services, params.targets)
     context.services.air.select({v.sysid << 8 | v.compid for v in chosen})
     return {"selected": [v.name for v in chosen]}
@@ -177,7 +177,7 @@ def corrections_send(context: Context, params: CorrectionsParams) -> JsonObject:
 
 
 def corrections_status(context: Context, _: NoParams) -> JsonObject:
-    """Return what corrections went, what each radio made of them, and the fix of every vehicle."""
+    """Return which corrections were sent, what each radio did with them, and the fix of every vehicle."""
     return context.services.corrections.status()
 
 
@@ -185,9 +185,9 @@ _LINK = (error_codes.LINK_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("links.list", NoParams, links_list, list[dict[str, Any]], always=True),
-    Method("links.add", LinkAddParams, links_add, list[dict[str, Any]], _LINK),
-    Method("links.change", LinkParams, links_change, list[dict[str, Any]], _LINK),
-    Method("links.remove", LinkNameParams, links_remove, list[dict[str, Any]], _LINK),
+    Method("links.add", LinkAddParams, links_add, list[dict[str, Any]], _LINK, reach="nothing"),
+    Method("links.change", LinkParams, links_change, list[dict[str, Any]], _LINK, reach="nothing"),
+    Method("links.remove", LinkNameParams, links_remove, list[dict[str, Any]], _LINK, reach="nothing"),
     Method("router.stats", NoParams, router_stats),
 )
 

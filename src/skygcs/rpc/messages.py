@@ -76,9 +76,7 @@ class CommandParams(TargetsParams):
     x: int | None = Field(None, description="COMMAND_INT's x as on the wire (latitude in 1e-7 degrees).")
     y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
     z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
-    force: bool = Field(
-        False, description="Send it although it would fly a vehicle or stop its motors without the checks of an order."
-    )
+    force: bool = Field(False, description="Send it without the checks of an order.")
 
     @model_validator(mode="after")
     def _whole_place(self) -> Self:
@@ -100,12 +98,10 @@ class SendParams(MethodParams):
         default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
     )
     target: Targets | None = Field(
-        None, description='Vehicles or components to send it to, each with its ids filled in; "all": everyone.'
+        None, description='Vehicles or components, each with its ids filled in; "all": everyone.'
     )
-    link: str | None = Field(None, description="Send on this link only, to all that is there.")
-    force: bool = Field(
-        False, description="Send it although it would fly a vehicle or stop its motors without the checks of an order."
-    )
+    link: str | None = Field(None, description="On this link only, to all that is there.")
+    force: bool = Field(False, description="Send it without the checks of an order.")
 
 
 class MessageReading(Result):
@@ -158,8 +154,11 @@ async def vehicles_stream(context: Context, params: StreamParams) -> JsonObject:
 
 
 async def vehicles_command(context: Context, params: CommandParams) -> JsonObject:
-    """Send any MAV_CMD and wait for its acknowledgement. What does the same as an order without its checks is refused
-    for a vehicle that is not known to be disarmed, arming and motor tests for every vehicle, unless forced."""
+    """Send any MAV_CMD and wait for its acknowledgement.
+
+    Without force, what an order does with checks is refused for a vehicle that is not known to be disarmed, arming and
+    motor tests for every vehicle.
+    """
     _check_command(context.services.dialect, params.command)
     if params.int_frame is not None:
         _check_entry(context.services.dialect, "MAV_FRAME", params.int_frame, "int_frame")
@@ -167,10 +166,9 @@ async def vehicles_command(context: Context, params: CommandParams) -> JsonObjec
 
 
 def messages_latest(context: Context, params: LatestParams) -> JsonObject | None:
-    """The last message of one name from one vehicle, or null if none came yet.
+    """The last message of one name from one vehicle, or null.
 
-    For a vehicle: its autopilot's, or, if that has sent none, the newest one of its system's other components, which
-    compid names. "7/191" or "alpha/191" is one component.
+    The autopilot's; if it has sent none, the newest of its system's other components, which compid names.
     """
     info = find_message(context.services.dialect, params.name, "name")
     return context.services.fleet.latest(params.target, info.name)
@@ -179,9 +177,9 @@ def messages_latest(context: Context, params: LatestParams) -> JsonObject | None
 def messages_send(context: Context, params: SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field.
 
-    A message with a target field (COMMAND_LONG, MANUAL_CONTROL, …) needs target, link or that field; "all", or 0 in the
-    field, is everyone. Others go to everyone unless a target or link is given. Setpoints, and other messages that do
-    what an order does without its checks, are refused for vehicles that are not known to be disarmed, unless forced.
+    A message with a target field needs target, link or that field; "all", or 0 in the field, is everyone. Others go to
+    everyone unless a target or link is given. Without force, messages that do what an order does with checks are
+    refused for vehicles that are not known to be disarmed.
     """
     info = find_message(context.services.dialect, params.name, "name")
     fields = _checked_fields(context.services.dialect, info, params.fields)

@@ -79,10 +79,9 @@ def recorder_status(context: Context, _: NoParams) -> JsonObject:
 
 
 def subscribe(context: Context, params: SubscribeParams) -> JsonObject:
-    """Receive notifications from now on: "telemetry", "event", "message" or "plan".
+    """Receive notifications: "telemetry", "event", "message" or "plan".
 
-    Each carries the subscription's number and a state, an event, a message or the status of the plan. A client that
-    reads slowly gets fewer, fresher telemetry updates; events and messages that did not fit are counted in "dropped".
+    Each carries the number of the subscription.
     """
     return {"subscription": context.subscribe(params)}
 
@@ -141,7 +140,7 @@ METHODS: DeclaredMethods[Context] = DeclaredMethods(
     Later("signing", "skygcs.rpc.signing"),
     Later("preflight", "skygcs.rpc.params", "PREFLIGHT"),
     Later("undo", "skygcs.rpc.params", "UNDO"),
-    (Method("rpc.discover", NoParams, rpc_discover),),
+    (Method("rpc.discover", NoParams, rpc_discover, reach="nothing"),),
 )
 """In the order in which they are documented. `Later`: what is not for an emergency, and 1.3 MB that most daemons never
 need. What a setpoint, the origin or an operator's sign of life need is there from the start."""

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import structlog
 
-from skygcs.config.extension_tables import entry_point_problems, find_on_demand, on_demand
+from skygcs.config.extension_tables import entry_point_problems, find_on_demand, installed, on_demand
 from skygcs.errors import RefusedError
 from skygcs.rpc.dispatch import Method, MethodTable, first_word
 
@@ -46,6 +46,8 @@ class MethodsOnDemand:
         self._extensions = extensions
         self._beside = beside
         self._loop = loop
+        self.extension_tables: Collection[str] = frozenset()
+        """Names of the tables of installed extensions; empty until they are looked for."""
         self._words: Collection[str] | None = None
         """First words of extensions' methods that are not in the table yet; None: not known."""
         self._tasks: dict[str, asyncio.Task[None]] = {}
@@ -112,12 +114,16 @@ class MethodsOnDemand:
         try:
             await self._beside(on_demand)
             await self._beside(entry_point_problems)
+            await self._beside(self._read_tables)
             self._words = set(on_demand())
             for problem in entry_point_problems():
                 _log.warning("installed extensions", problem=problem)
         except Exception as error:  # it is not asked again: unknown names are refused in the core's words
             _log.error("the installed extensions cannot be found", exc_info=error)
             self._words = frozenset()
+
+    def _read_tables(self) -> None:
+        self.extension_tables = frozenset(installed())
 
     async def _import_part(self, word: str) -> None:
         await self._beside(self._table.later[word].load)

@@ -66,27 +66,27 @@ class ArrangementParams(MethodParams):
 
 class PlanUploadParams(TargetsParams):
     plan: str = Field(min_length=1, description="The content of a .plan or QGC WPL 110 file.")
-    name: str = Field("plan", max_length=200, description="Name of the plan in error texts: the file's name.")
-    lists: Lists | None = Field(None, description="Which of mission, fence, rally; null: those that the plan holds.")
+    name: str = Field("plan", max_length=200, description="Name of the plan in error texts.")
+    lists: Lists | None = Field(None, description="null: those that the plan holds.")
     arrangement: ArrangementParams | None = Field(
-        None, description="Make the mission of each vehicle from the plan's; null: all get it as it is."
+        None,
+        description="Make each vehicle's mission from the plan's, by system id; those that come too near each "
+        "other are refused. null: all get it as it is.",
     )
     force: bool = Field(
         False,
-        description="Upload although the plan has errors, the vehicle flies its mission, or missions come too near "
-        "each other.",
+        description="Although the plan has errors, the vehicle flies its mission, or missions come too near each "
+        "other.",
     )
 
 
 class PlanDownloadParams(TargetParams):
-    lists: Lists = Field(ALL_LISTS, description="Which of mission, fence, rally.")
+    lists: Lists = Field(ALL_LISTS, description="Which lists.")
 
 
 class PlanClearParams(TargetsParams):
-    lists: Lists = Field(["mission"], description="Which of mission, fence, rally.")
-    force: bool = Field(
-        False, description="Clear although it flies its mission, or would be in the air without a fence."
-    )
+    lists: Lists = Field(["mission"], description="Which lists.")
+    force: bool = Field(False, description="Although it flies its mission, or would be in the air without a fence.")
 
 
 class MissionStartParams(TargetsParams):
@@ -94,7 +94,7 @@ class MissionStartParams(TargetsParams):
     arm: bool = Field(True, description="Arm first if it is not armed.")
     one_after_another: bool = Field(
         False,
-        description="The first one by system id starts now, each next one when the one before is done or has landed.",
+        description="The first by system id starts now, each next one when the one before is done or has landed.",
     )
     force: bool = Field(
         False, description="Although preflight is required and not passed, or another vehicle is in the way."
@@ -146,11 +146,10 @@ class TurnsEnded(Result):
 
 
 async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObject:
-    """Check a plan against each vehicle and upload it, its fence first. With an arrangement each vehicle gets a mission
-    of its own, made from the plan's, in the order of their system ids; those that come too near each other are refused.
+    """Check a plan against each vehicle and upload it, its fence first.
 
-    Progress comes as events of kind command, every ten percent. An outcome that is not ok says what the vehicle holds;
-    a client that goes away ends the upload, and an event says the same.
+    Progress comes as events of kind command. An outcome that is not ok says what the vehicle holds, and so does an
+    event if the client goes away, which ends the upload.
     """
     try:
         plan = read_plan(params.plan.encode(), params.name).plan
@@ -187,9 +186,8 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on.
 
-    One after another: the answer comes when the first one has started. Each start is checked as an order of its own.
-    Any order to one of them ends the turns, and so do a failsafe, the loss of the one that flies and a refused start;
-    an event of kind mission says which.
+    One after another, the answer comes when the first has started. Any order to one of them ends the turns, and so do a
+    failsafe, the loss of the one that flies and a refused start; an event of kind mission says which.
     """
     arguments: dict[str, Any] = {"first": params.first, "arm": params.arm, "force": params.force}
     if params.one_after_another:
@@ -296,10 +294,11 @@ async def fence_status(context: Context, params: ListParams) -> JsonObject:
 
 
 async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
-    """Test the fence on foot, propellers off: a small one is set, the vehicle is carried out of it, and what it reports
-    and does is recorded to a file in the log directory; then its fence is put back, also when the caller goes away.
+    """Test the fence on foot, propellers off: a small one is set, the vehicle is carried out of it, and its fence is
+    put back.
 
-    Progress comes as events of kind fence. ok: it reported the breach and, if it was armed, took its action.
+    Its reports and actions are recorded to a file in the log directory; progress comes as events of kind fence. ok: it
+    reported the breach and, if it was armed, took its action.
     """
     return await command_with(context, onboard_orders.test_fence, params)
 

@@ -106,7 +106,7 @@ class TargetsParams(MethodParams):
 
 class SubscribeParams(MethodParams):
     topic: Literal["telemetry", "events", "messages", "plan"] = Field(
-        description='The notifications are called "telemetry", "event", "message", "plan": one of them each time.'
+        description='Their notifications are "telemetry", "event", "message", "plan".'
     )
     targets: Annotated[
         Targets, Field(description='Vehicles; for messages and events also components: "7/191", "all/100".')
@@ -115,13 +115,12 @@ class SubscribeParams(MethodParams):
         None,
         ge=LEAST_RATE_HZ,
         le=MAX_RATE_HZ,
-        description="telemetry: updates per second and vehicle, default 2, at most 20. "
-        "plan: updates per second while it is flown, default 2, at most 20. "
-        "messages: at most so many per second of each name and source; null: every one.",
+        description="telemetry, plan in flight: updates per second, default 2, at most 20. messages: at most so "
+        "many per second of each name and source; null: every one.",
     )
     names: Annotated[list[NameOrId], Field(min_length=1, max_length=64)] | None = Field(
         None,
-        description="telemetry: groups of the state. events: kinds. messages: names or ids. null: all of them.",
+        description="telemetry: groups of the state. events: kinds. messages: names or ids. null: all.",
     )
 
     @model_validator(mode="after")

@@ -22,7 +22,7 @@ class LogsGetParams(TargetsParams):
     logs: Literal["latest", "all"] | Annotated[list[LogId], Field(min_length=1, max_length=500)] = Field(
         "latest", description='"latest", "all", or ids as logs.list shows them.'
     )
-    force: bool = Field(False, description="Over a radio, too: it takes long, and slows every vehicle on it.")
+    force: bool = Field(False, description="Over a radio, too: it slows every vehicle on it.")
 
 
 class LogsOutcomes(Result):

@@ -20,16 +20,16 @@ class PresenceResult(Result):
 
 
 def operator_relay(context: Context, _: NoParams) -> JsonObject:
-    """From now on requests of this connection do not count for operator_timeout_s; only operator.active does.
+    """Do not count requests of this connection for operator_timeout_s; only operator.active does.
 
-    For programs that ask by themselves on behalf of somebody who may have left.
+    For programs that send requests by themselves while a person may have left.
     """
     context.relay_operator()
     return {"ok": True}
 
 
 def operator_active(context: Context, _: NoParams) -> JsonObject:
-    """A person is there and has just done something: this counts for operator_timeout_s."""
+    """Report that a person has just done something, for operator_timeout_s."""
     context.services.operator_watchdog.on_client()
     return {"ok": True}
 

@@ -22,20 +22,18 @@ class OriginSetParams(MethodParams):
 
 
 class OriginFromParams(TargetParams):
-    heading: bool = Field(False, description="Point x along the vehicle's nose; else it stays as it is.")
+    heading: bool = Field(False, description="Point x along the vehicle's nose.")
     force: bool = Field(
-        False, description="Set it without a 3D fix, too, and although another vehicle is farther than 20 km away."
+        False, description="Without a 3D fix, too, and although another vehicle is farther than 20 km away."
     )
 
 
 class OriginPushParams(TargetsParams):
     home: bool = Field(
         False,
-        description="Set their homes there as well: they would all return to that one place. The checks of a home.",
+        description="Set their homes there as well, to which all would return. The checks of a home.",
     )
-    force: bool = Field(
-        False, description="Send it although it is armed, and set a home in the air or beyond the goto limit."
-    )
+    force: bool = Field(False, description="Although it is armed; also a home in the air or beyond the goto limit.")
 
 
 class OriginPlace(Result):
@@ -58,10 +56,7 @@ def origin_get(context: Context, _: NoParams) -> JsonObject:
 
 
 def origin_set(context: Context, params: OriginSetParams) -> JsonObject:
-    """Set the origin; every position is given in the new frame from now on, and no vehicle moves.
-
-    It is kept until the daemon ends; the fleet file is not changed.
-    """
+    """Set the origin: every position is given in the new frame, and no vehicle moves. Kept until the daemon ends."""
     fleet = context.services.fleet
     heading_deg = params.x_heading_deg
     if heading_deg is None:
@@ -80,8 +75,8 @@ def origin_from_vehicle(context: Context, params: OriginFromParams) -> JsonObjec
 async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     """Send vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and read theirs back; armed only with force.
 
-    skygcs does not need it: it moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only
-    while it has no origin yet.
+    It moves the vehicle's own local frame, for programs on board; skygcs does not need it. ArduPilot accepts it only
+    while it has none.
     """
     push = context.services.fleet.orders.push_origin
     return as_json(await push(params.targets, home=params.home, force=params.force, reports=context.reports))

@@ -58,14 +58,14 @@ class ParamSetParams(TargetsParams):
     )
     settle: bool = Field(
         True,
-        description="Read what was changed once more half a second after the last: a PX4 changes some parameters "
-        "itself after it took them. Their outcome is changed then.",
+        description="Read what was changed again half a second after the last: a PX4 changes some parameters "
+        "after it took them. Their outcome is changed then.",
     )
     force: bool = Field(
         False,
-        description="Set values outside the range of their metadata; and, while a flight runs by them, gains, limits "
-        "and parameters of unknown effect. What the flight was certified or entered with (ids, frame, fence, "
-        "estimator, failsafes) is refused until it has ended.",
+        description="Values outside their range; during a flight also gains, limits and parameters of unknown "
+        "effect. What it was certified or entered with (ids, frame, fence, estimator, failsafes) is "
+        "refused until it has ended.",
     )
 
 
@@ -73,8 +73,7 @@ class ParamMetadataParams(TargetsParams):
     names: list[Name] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
     read: bool = Field(
         False,
-        description="Read the vehicle's own file, if it has one, over a slow link, too (some 70 kB). Over a fast link "
-        "it is read in any case.",
+        description="Read the vehicle's file over a slow link, too (some 70 kB); over a fast one it is always read.",
     )
 
 
@@ -82,7 +81,7 @@ class ParamListParams(TargetsParams):
     refresh: bool = Field(False, description="Read all, although the vehicle confirms what is known.")
     burst: bool = Field(
         False,
-        description="Have the vehicle send all at once, then fill gaps: quicker, but it saturates a shared radio.",
+        description="The vehicle sends all at once, then gaps are filled: quicker, but it saturates a shared radio.",
     )
     bytes_per_s: float | None = Field(
         BYTES_PER_S,
@@ -90,7 +89,7 @@ class ParamListParams(TargetsParams):
         le=1e8,
         description="Bandwidth for the answers, per vehicle; null: no limit.",
     )
-    values: bool = Field(True, description="Whether the answer has the values, or only the outcome.")
+    values: bool = Field(True, description="The answer has the values, not only the outcome.")
 
 
 class ParamResult(Result):
@@ -197,7 +196,7 @@ async def params_get(context: Context, params: ParamGetParams) -> JsonObject:
 async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
     """Set parameters one after another, each read back; every one has an outcome, also when it was cancelled.
 
-    A value outside the range of its metadata is refused unless forced.
+    Without force a value outside the range of its metadata is refused.
     """
     values: dict[str, Value] = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
 
@@ -219,7 +218,7 @@ async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
 async def params_metadata(context: Context, params: ParamMetadataParams) -> JsonObject:
     """Unit, range, meanings and description of parameters.
 
-    They come from the vehicle's own file where it has one (PX4), else from the tables that skygcs ships.
+    From the vehicle's own file where it has one (PX4), else from the tables that skygcs ships.
     """
 
     async def look_up(vehicle: VehicleActor) -> JsonObject:
@@ -245,10 +244,10 @@ def _description(known: ParamMetadata) -> JsonObject:
 
 
 async def params_list(context: Context, params: ParamListParams) -> Encoded:
-    """All parameters; one vehicle after another, so that they do not share a radio. Progress comes as events "params".
+    """All parameters, one vehicle after another. Progress comes as events "params".
 
-    What was read before is not read again while the vehicle confirms it: PX4 by a hash over all values, ArduPilot
-    only by its firmware and their number.
+    What was read before is read again only if the vehicle does not confirm it: PX4 by a hash over all values, ArduPilot
+    by its firmware and their number.
     """
     vehicles = context.services.fleet.resolve(params.targets)
     if params.values and len(vehicles) > MAX_WITH_VALUES:
@@ -287,7 +286,7 @@ def _entry(param: Param) -> JsonObject:
 
 
 def params_status(context: Context, params: TargetsParams) -> JsonObject:
-    """Return what is known of vehicles' parameters without asking them, and how far a list is."""
+    """Return what is known of the parameters without asking the vehicles, and how far a list is."""
     return {v.name: v.params.status() for v in context.services.fleet.resolve(params.targets)}
 
 
@@ -321,12 +320,11 @@ async def _each(
 
 class PreflightParams(TargetsParams):
     fix: bool = Field(
-        False, description="Set the parameters that would mend a failed check, read them back, and examine it again."
+        False, description="Set the parameters that mend a failed check, read them back, and examine it again."
     )
     confirmed: dict[str, dict[Name, float]] | None = Field(
         None,
-        description="With fix: only these values, by vehicle's name, then by parameter's, as the user has agreed to "
-        "them; null: all.",
+        description="With fix: only these values, by vehicle's name, then by parameter's; null: all.",
     )
 
 
@@ -383,8 +381,8 @@ class PreflightStatus(Result):
 async def preflight_run(context: Context, params: PreflightParams) -> JsonObject:
     """Examine vehicles before a flight: parameters, sensors, estimator, GPS, battery, home, clock, link.
 
-    Requests from each what is not known; some seconds a vehicle. With fix, parameters are set: not on a vehicle that is
-    armed, and never its system id. Some take effect only after a reboot.
+    Takes some seconds a vehicle. With fix, parameters are set: not on an armed vehicle, and never its system id. Some
+    take effect only after a reboot.
     """
     reports: dict[str, Any] = await context.services.fleet.preflight(
         params.targets, fix=params.fix, confirmed=params.confirmed
@@ -431,8 +429,8 @@ async def undo_list(context: Context, _: NoParams) -> JsonObject:
 async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
     """Undo one of them, and read the parameters back.
 
-    Refused to an armed vehicle, and where a parameter holds neither the value of before nor that of the change, unless
-    forced.
+    Without force refused to an armed vehicle, and where a parameter holds neither the value of before nor that of the
+    change.
     """
     outcome = await context.services.fleet.undo.run(params.id, force=params.force)
     return {"outcomes": {params.id: outcome.as_dict()}}
@@ -464,7 +462,7 @@ PREFLIGHT: tuple[Method[Context], ...] = (
 
 
 UNDO: tuple[Method[Context], ...] = (
-    Method("undo.list", NoParams, undo_list, UndoLeft),
-    Method("undo.run", UndoRunParams, undo_run, Outcomes, (error_codes.REFUSED,)),
-    Method("undo.drop", UndoParams, undo_drop, dict[str, str], (error_codes.REFUSED,)),
+    Method("undo.list", NoParams, undo_list, UndoLeft, reach="nothing"),
+    Method("undo.run", UndoRunParams, undo_run, Outcomes, (error_codes.REFUSED,), reach="fleet"),
+    Method("undo.drop", UndoParams, undo_drop, dict[str, str], (error_codes.REFUSED,), reach="nothing"),
 )

@@ -11,6 +11,7 @@ a daemon that is restarted in flight forwards frames meanwhile.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib
 import os
 import socket
@@ -143,10 +144,28 @@ class RpcServer:
         await asyncio.sleep(0)
 
     def close_sessions(self, reason: str) -> None:
-        """Close all connections of clients with this reason; what they have sent and is not begun is not done."""
-        if self._hub is not None:
-            for session in self._hub.sessions:
-                session.dismiss(reason)
+        """Close all connections of clients with this reason, also those that wait to be accepted; what they have sent
+        and is not begun is not done."""
+        self._close_waiting()
+        self._dismiss_all(reason, ACCEPT_TURNS)
+
+    def _dismiss_all(self, reason: str, turns: int) -> None:
+        """Now and for some turns of the loop, in which what it had accepted becomes a session."""
+        if self._hub is None:
+            return
+        for session in tuple(self._hub.sessions):
+            session.dismiss(reason)
+        if turns:
+            asyncio.get_running_loop().call_soon(self._dismiss_all, reason, turns - 1)
+
+    def _close_waiting(self) -> None:
+        """Close the connections in the backlogs of the listeners."""
+        for listener in (sock for server in self._servers for sock in server.sockets):
+            with socket.socket(fileno=os.dup(listener.fileno())) as same:
+                same.setblocking(False)
+                with contextlib.suppress(OSError):  # BlockingIOError: no more
+                    for _ in range(BACKLOG):
+                        same.accept()[0].close()
 
     def stats(self) -> JsonObject:
         """Counters: sessions now and ever, requests, errors, drops."""

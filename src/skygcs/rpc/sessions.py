@@ -264,6 +264,8 @@ class Session(ClientPeer):
 
     def work(self) -> bool:
         """Process one complete line; True if there may be another one."""
+        if self._hub.services.fleet.sleep.check():  # all are closed: lines of before a standstill are not carried out
+            return False
         limit_bytes = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
         if not self.writable or self._answered or (line := self.next_line(limit_bytes)) is None:
             self.pace_reading(wait=self._answered)

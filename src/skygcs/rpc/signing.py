@@ -73,8 +73,8 @@ class SigningStatus(Result):
 async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObject:
     """Send vehicles a signing key (SETUP_SIGNING), and wait until they sign with it.
 
-    Refused to a vehicle that is armed, and over a link that others can receive. The message is neither recorded nor
-    sent to subscribers. Whether skygcs itself signs with the key is set by the link's signing table.
+    Refused to an armed vehicle, and over a link that others can receive. Whether skygcs itself signs with the key is
+    set by the link's signing table.
     """
     path = Path(params.key_file)
     if "\0" in params.key_file:
@@ -91,15 +91,15 @@ async def signing_off(context: Context, params: TargetsParams) -> JsonObject:
 
 
 def signing_status(context: Context, _: NoParams) -> JsonObject:
-    """Keys in use with their clocks; links that have one, with what they accepted and dropped."""
+    """Keys in use with their clocks; links that have one, and what they accepted and dropped."""
     return context.services.signing.status(context.services.hub.channels.values())
 
 
 def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObject:
     """Set a key's clock back to the system clock after a frame moved it far ahead; not while a vehicle is armed.
 
-    Streams that are ahead of it are forgotten. Vehicles that have followed the later time accept no message of ours
-    until they get their key again over a cable (signing.setup).
+    Streams that are ahead of it are forgotten. Vehicles that have followed the later time need their key again over a
+    cable (signing.setup).
     """
     return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
 

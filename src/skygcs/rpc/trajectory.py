@@ -14,6 +14,7 @@ from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, one_vehicle, resolve
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import ListParams, MethodParams, Outcomes, Result, TargetParams, TargetsParams
+from skygcs.runtime.task_set import numbered
 from skygcs.runtime.trajectories import LATEST_START_S, MAX_PIECES
 
 Coefficients = Annotated[list[float], Field(min_length=1, max_length=MAX_DEGREE + 1)]
@@ -82,10 +83,7 @@ class TrajectoryPaths(Result):
 
 
 async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> JsonObject:
-    """Keep a trajectory for a vehicle, in place of the one before; nothing moves.
-
-    It is checked: numbers, continuity, and its exact bounds, which the start compares with fence and limits.
-    """
+    """Keep a trajectory for a vehicle, in place of the one before; nothing moves."""
     actor = one_vehicle(context.services, params.target)
     try:
         trajectory = Trajectory(
@@ -102,10 +100,14 @@ async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> Jso
 async def trajectory_start(context: Context, params: TrajectoryStartParams) -> JsonObject:
     """Let vehicles follow their trajectories on one clock: all of them, or none.
 
-    Refused unless each is flown by setpoints, near the first point, and its whole trajectory within the control fence
-    and the limits (docs/howto/fly-several.md#trajectories), and unless all of them stay away from each other and from
-    every other vehicle as it moves now. It is the daemon's from then on: the client may leave.
+    Each must be flown by setpoints, near the first point, and its whole trajectory within control fence and limits
+    (docs/howto/fly-several.md#trajectories). All have to stay away from each other and from every other vehicle. The
+    daemon flies it from then on, also without the client.
     """
+    return await numbered(_started(context, params))
+
+
+async def _started(context: Context, params: TrajectoryStartParams) -> JsonObject:
     fleet = context.services.fleet
     now = context.services.now()
     at_s = now + (1.0 if params.after_s is None else params.after_s) if params.at_s is None else params.at_s

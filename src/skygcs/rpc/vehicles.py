@@ -39,9 +39,7 @@ class ArmParams(TargetsParams):
         description="Arm although the autopilot's checks fail (magic number 21196), or a required preflight is not "
         "passed.",
     )
-    wait_s: float = Field(
-        0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to arm yet."
-    )
+    wait_s: float = Field(0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready.")
 
 
 class DisarmParams(TargetsParams):
@@ -49,17 +47,17 @@ class DisarmParams(TargetsParams):
     confirm: str | None = Field(
         None,
         max_length=100,
-        description='Only while two vehicles send with one system id, and both would get it: "disarm-" and the number '
-        'of vehicles, as "disarm-2"; without it the error names their links and the word.',
+        description='While two vehicles send with one system id: "disarm-N", N vehicles; the error without it '
+        "names their links and the word.",
     )
 
 
 class ModeParams(TargetsParams):
-    mode: str = Field(min_length=1, description='Flight mode by name, e.g. "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter).')
+    mode: str = Field(min_length=1, description='E.g. "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter).')
     force: bool = Field(
         False,
-        description="Into a mode flown by sticks, in the air, although no sticks are seen in its telemetry. One in "
-        "which it would fall is refused all the same.",
+        description="Into a mode flown by sticks, in the air, without sticks in its telemetry; never one in which"
+        " it would fall.",
     )
 
 
@@ -68,13 +66,11 @@ class TakeoffParams(TargetsParams):
         None, gt=0, le=500, description="Metres above the ground it stands on; null: the fleet file's."
     )
     arm: bool = Field(True, description="Arm first if it is not armed.")
-    wait_s: float = Field(
-        0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to fly yet."
-    )
+    wait_s: float = Field(0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready.")
     force: bool = Field(
         False,
-        description="Take off although preflight is required and not passed, or another vehicle is in the way; the "
-        "autopilot's own checks remain.",
+        description="Although preflight is required and not passed, or another vehicle is in the way; the "
+        "autopilot's checks remain.",
     )
 
 
@@ -82,8 +78,8 @@ class HoldParams(TargetsParams):
     instead_of: int | None = Field(
         None,
         ge=0,
-        description="The order_number of an order that this ends: refused if a newer order moves the vehicle, or may, "
-        "from whichever client; one that is in progress is awaited. null: it ends whatever moves it.",
+        description="The order_number of the order that this ends: refused if a newer one moves the vehicle, or "
+        "may; one in progress is awaited. null: it ends whatever moves it.",
     )
 
 
@@ -94,8 +90,8 @@ class StopParams(TargetsParams):
     confirm: str | None = Field(
         None,
         max_length=100,
-        description='kill only: "kill-" and the number of vehicles it is for, as "kill-3"; without it the refusal names'
-        " them and the word. Two vehicles that send with one system id count twice.",
+        description='kill only: "kill-N", N vehicles; the refusal without it names them and the word. Two that '
+        "send with one system id count twice.",
     )
 
 
@@ -106,13 +102,11 @@ class GotoParams(TargetsParams):
     enu_m: Enu | None = None
     yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
     force: bool = Field(
-        False, description="Go although it is farther than the configured limit, or another vehicle is in the way."
+        False, description="Although it is farther than the configured limit, or another vehicle is in the way."
     )
-    same_place: bool = Field(
-        False, description="Several vehicles: all to the same point, instead of keeping their formation."
-    )
+    same_place: bool = Field(False, description="Several vehicles: all to the same point, not in formation.")
     together: Targets | None = Field(
-        None, description="Vehicles that the caller keeps apart from these itself; not checked for being in the way."
+        None, description="Vehicles that the caller keeps apart from these itself: never in the way."
     )
 
     @model_validator(mode="after")
@@ -127,7 +121,7 @@ class GotoParams(TargetsParams):
 
 class CalibrateParams(TargetsParams):
     sensor: Literal["gyro", "level", "compass", "accel"] = Field(
-        description="accel: six poses, of which an ArduPilot asks for each and waits for vehicles.calibrate_confirm."
+        description="accel: six poses; an ArduPilot asks for each and waits for vehicles.calibrate_confirm."
     )
 
 
@@ -147,9 +141,7 @@ class RenumberParams(TargetParams):
 class SetHomeParams(TargetsParams):
     lat_deg: Lat | None = None
     lon_deg: Lon | None = None
-    alt_amsl_m: float | None = Field(
-        None, description="Altitude above mean sea level in metres; null: that of the home it has."
-    )
+    alt_amsl_m: float | None = Field(None, description="Metres above mean sea level; null: those of the home it has.")
     force: bool = Field(False, description="Also in the air, and farther away than the configured limit.")
 
     @model_validator(mode="after")
@@ -177,7 +169,7 @@ async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
 
 
 def vehicles_forget(context: Context, params: ForgetParams) -> JsonObject:
-    """Forget vehicles that are gone, so that "all" no longer means them. One that is heard again is discovered anew."""
+    """Forget vehicles that are gone. One that is heard again is discovered anew."""
     return as_json(context.services.fleet.forget(params.targets, force=params.force))
 
 
@@ -190,10 +182,7 @@ async def vehicles_renumber(context: Context, params: RenumberParams) -> JsonObj
 
 
 def components_list(context: Context, _: NoParams) -> list[JsonObject]:
-    """Every component that was heard, by system: autopilots, companions, cameras, gimbals, ground stations.
-
-    Also those of systems without a vehicle. At most 32 of a system are kept and 1024 in all.
-    """
+    """Every component that was heard, by system; at most 32 of a system and 1024 in all."""
     return context.services.fleet.components_status()
 
 
@@ -229,14 +218,14 @@ METHODS: tuple[Method[Context], ...] = (
         "vehicles.calibrate",
         CalibrateParams,
         VehicleActor.calibrate,
-        "Calibrate a sensor; only disarmed. The answer comes with the result, after seconds or minutes; until then\n"
-        'events of kind "calibration" and the state show how far it is. A client that goes cancels it.',
+        "Calibrate a sensor of disarmed vehicles. The answer comes with the result, after seconds or "
+        'minutes. Events of kind "calibration" show the progress. A client that goes cancels it.',
     ),
     order_method(
         "vehicles.calibrate_confirm",
         TargetsParams,
         VehicleActor.confirm_pose,
-        "The vehicle lies as its calibration asked for (accel of an ArduPilot; a PX4 finds its pose by itself).",
+        "Confirm the pose that an accel calibration of an ArduPilot asked for; a PX4 detects it.",
     ),
     order_method(
         "vehicles.calibrate_cancel", TargetsParams, VehicleActor.cancel_calibration, "End the calibration that runs."

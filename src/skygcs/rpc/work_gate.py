@@ -11,9 +11,9 @@ beyond, and the client's reserve is in use               refused
 So all clients together have at most MAX_ITEMS in flight and one call each: a greedy client slows others down by no
 more than its share, and a client's first call is never refused because of others.
 
-A method goes to vehicles if its parameters have ``targets`` or ``target``, and is counted while it is carried out if
-its handler is a coroutine; one that is done at once has nothing in flight. An item is an order to a single vehicle.
-`WorkBound` is pure.
+What a method goes to follows from its declaration (`Method.goes_to`): its targets, or the whole fleet if it does not
+say that it goes to no vehicle. It is counted while it is carried out if its handler is a coroutine; one that is done at
+once has nothing in flight. An item is an order to a single vehicle. `WorkBound` is pure.
 """
 
 from __future__ import annotations
@@ -176,6 +176,9 @@ class Named(Protocol):
 Resolve = Callable[[Any], Sequence[Named]]
 """`runtime.fleet.Fleet.resolve_any`."""
 
+ALL = "all"
+"""The targets that are the whole fleet."""
+
 COUNTED = ("vehicle_orders_refused", "vehicle_orders_joined", "vehicle_orders_delayed")
 """Calls that were refused, that joined an earlier one, and that waited."""
 
@@ -202,7 +205,7 @@ class WorkGate:
 
     async def carry_out(self, method: Method[Any], context: Client, params: MethodParams) -> Any:
         """Carry out a method within the bound. Raises LimitExceeded, and what the method raises."""
-        names = self._names(params)
+        names = self._names(method, context, params)
         if names is None or (method.always and not method.ends_flight):
             self.asked(method)
             return await method.handler(context, params)
@@ -256,16 +259,26 @@ class WorkGate:
                 if not waiting.done():
                     settle(waiting)
 
-    def _names(self, params: MethodParams) -> frozenset[str] | None:
+    def _names(self, method: Method[Any], context: Client, params: MethodParams) -> frozenset[str] | None:
         """The vehicles and components that a call goes to; None: it goes to none. A call that names none that exists,
         which its method refuses, counts as one."""
-        targets = getattr(params, "targets", None) or getattr(params, "target", None)
-        if targets is None:
+        if method.goes_to == "nothing":
             return None
+        if method.reached is not None:  # one that is not heard keeps the others in the count
+            each = (self._resolved(target) for target in method.reached(context, params))
+            return frozenset().union(*each) or frozenset({""})
+        targets: Any = ALL
+        if method.goes_to == "targets":
+            targets = getattr(params, "targets", None) or getattr(params, "target", None)
+            if targets is None:
+                return None
+        return self._resolved(targets) or frozenset({""})
+
+    def _resolved(self, targets: Any) -> frozenset[str]:
         try:
-            return frozenset(actor.name for actor in self._resolve(targets)) or frozenset({""})
+            return frozenset(actor.name for actor in self._resolve(targets))
         except TargetError:
-            return frozenset({""})
+            return frozenset()
 
     async def _ended(self, work: Work) -> asyncio.Future[Any]:
         """Wait for an order that is carried out already; returns its outcome, which may be a cancellation."""

@@ -116,7 +116,7 @@ class ChannelStatistics:
         done."""
         if frame.msgid != HEARTBEAT or not discovers(frame):
             return False
-        autopilots = self._router.autopilots_on(channel.id)
+        autopilots = self._router.table.autopilots_on(channel.id)
         others = [key for key in channel.sources if key not in autopilots and key != OTHER_SOURCES]
         if not others:
             return False
@@ -176,9 +176,9 @@ class ChannelStatistics:
         router, now = self._router, self._loop.time()
         return {
             "counters": {verdict.value: count for verdict, count in router.counters.items()},
-            "refused_routes": router.refused_routes,
-            "evicted_routes": router.evicted_routes,
-            "unreported_routes": router.unreported_routes,
+            "refused_routes": router.table.room.refused,
+            "evicted_routes": router.table.room.evicted,
+            "unreported_routes": router.table.unreported_routes,
             "routes": [
                 {
                     "sysid": sysid,
@@ -187,7 +187,7 @@ class ChannelStatistics:
                     "peer": self._channels[cid].peer,
                     "age_s": round(now - at, 2),
                 }
-                for sysid, compid, cid, at in router.routes()
+                for sysid, compid, cid, at in router.table.routes()
                 if cid in self._channels
             ],
         }

@@ -56,6 +56,11 @@ class SendFn(Protocol):
         ...
 
 
+def _refuse(*_: object, **__: object) -> bool:
+    """The `SendFn` of a client that was closed."""
+    return False
+
+
 LATE_ACK_S = 1.5
 """Two rounds of a nine-node multipoint radio at 64 kbit/s; no ack is expected after that."""
 
@@ -101,6 +106,16 @@ class _Line:
 
 
 @dataclass(frozen=True, slots=True)
+class Moves:
+    """Conditions for sending a command that moves the vehicle."""
+
+    wanted: Check
+    """False once a newer order has taken its place; called when its turn has come."""
+    taken: Callable[[], str | None] = lambda: None
+    """Why it is left to a pilot now, None: it is sent; called then, too, and before each repeat."""
+
+
+@dataclass(frozen=True, slots=True)
 class _Request:
     """One call of `CommandClient.run`; see its parameters."""
 
@@ -108,7 +123,7 @@ class _Request:
     satisfied: Check | None
     on_report: Callable[[int | None], None] | None
     everywhere: bool
-    moving: bool
+    moves: Moves | None
     with_repeats: Follower | None
     clearance: Clearance | None = None
 
@@ -174,6 +189,8 @@ class CommandClient:
         self._watches: list[_Watch] = []
         self._addresses: dict[int, dict[str, int]] = {}
         self._timer = DeadlineTimer(loop, self._on_timer)
+        self._closed = ""
+        """Why it was closed."""
 
     @property
     def why_silent(self) -> Callable[[], str]:
@@ -204,7 +221,7 @@ class CommandClient:
         emergency: bool = False,
         satisfied: Check | None = None,
         on_report: Callable[[int | None], None] | None = None,
-        wanted: Check | None = None,
+        moves: Moves | None = None,
         with_repeats: Follower | None = None,
         timers_s: tuple[float, ...] = RETRY_TIMERS_S,
         clearance: Clearance | None = None,
@@ -214,10 +231,9 @@ class CommandClient:
 
         The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
         vehicle: the best may be the one that loses them. Of the orders `EVERYWHERE` the first one does, too.
-        ``wanted``: given for a command that moves the vehicle, which a newer order may replace (`supersede`); called
-        when its turn has come. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat,
-        over the same links (`Step.with_repeats`).
-        ``timers_s``: the waits after each transmission. ``clearance``: see `SendFn`.
+        ``moves``: given for a command that moves the vehicle, which a newer order may replace (`supersede`), or a
+        pilot. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same
+        links (`Step.with_repeats`). ``timers_s``: the waits after each transmission. ``clearance``: see `SendFn`.
         """
         # refuse what cannot be packed
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
@@ -227,7 +243,7 @@ class CommandClient:
         except ValueError as error:
             return Outcome(False, "refused", f"refused: {error}")
         everywhere = emergency or (clearance is not None and clearance.order in EVERYWHERE)
-        request = _Request(spec, satisfied, on_report, everywhere, wanted is not None, with_repeats, clearance)
+        request = _Request(spec, satisfied, on_report, everywhere, moves, with_repeats, clearance)
         line = self._lines.setdefault(spec.command, _Line())
         # an emergency replaces a command of its kind
         if emergency:
@@ -248,8 +264,10 @@ class CommandClient:
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
-            if wanted is not None and not wanted():
+            if moves is not None and not moves.wanted():
                 return Outcome(False, "cancelled", SUPERSEDED)
+            if moves is not None and (why := moves.taken()) is not None:
+                return Outcome.refused(why)
             waits_s = tuple(max(wait_s, self._min_retry_s) for wait_s in timers_s)
             if repeat_rule(spec).repeat is Repeat.NEVER:
                 waits_s = (sum(waits_s),)
@@ -353,15 +371,17 @@ class CommandClient:
 
     def supersede(self, specs: Collection[CommandSpec]) -> None:
         """A newer order moves the vehicle: older commands are not repeated any more. One with equal fields goes on,
-        and so does one that was run without ``wanted``."""
+        and so does one that was run without ``moves``."""
         for command, running in list(self._running.items()):
-            if running.request.moving and running.protocol.spec not in specs:
+            if running.request.moves is not None and running.protocol.spec not in specs:
                 self.stop(command, "cancelled", SUPERSEDED)
 
-    def close(self) -> None:
-        """The daemon ends."""
+    def close(self, reason: str) -> None:
+        """Nothing is sent any more, whatever still waits for its turn: the daemon ends, or its vehicle was dropped."""
+        self._closed = reason
+        self._send = _refuse
         for command in list(self._running):
-            self.stop(command, "cancelled", "skygcs is shutting down")
+            self.stop(command, "cancelled", reason)
         for _, future, _ in self._watches:
             if not future.done():
                 future.set_result(False)  # the timer that would end it is cancelled below
@@ -382,6 +402,8 @@ class CommandClient:
         self, line: _Line, request: _Request, priority: Priority, timers_s: tuple[float, ...]
     ) -> Outcome:
         """Run the command protocol to its outcome, and note how many acks may still come late."""
+        if self._closed:
+            return Outcome(False, "cancelled", self._closed)
         # register the exchange
         spec = request.spec
         protocol = CommandProtocol(spec, timers_s)
@@ -442,6 +464,9 @@ class CommandClient:
         rule = running.rule
         if running.priority is Priority.EMERGENCY:
             return None
+        moves = running.request.moves
+        if moves is not None and (why := moves.taken()) is not None:
+            return f"because {why}"
         if rule.repeat is Repeat.SAME_LINK and self._evidence.channels() != running.via:
             return "because it went over another link than the one that is used now"
         if rule.repeat is Repeat.IF_NOT_DONE and not self._may_be_undone(running):

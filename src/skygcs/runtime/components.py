@@ -106,7 +106,7 @@ class Components:
             if texts:
                 self._publish(actor, texts)
 
-    def forget(self, key: int) -> None:
+    def forget(self, key: int, why: str = "the component was forgotten") -> None:
         """Remove a component that turned out to be an autopilot or part of a recording. Unknown keys are ignored."""
         actor = self._by_key.pop(key, None)
         if actor is not None:
@@ -114,7 +114,7 @@ class Components:
             del siblings[actor.compid]
             if not siblings:
                 del self._systems[actor.sysid]
-            actor.close()
+            actor.close(why)
             self._services.links.forget_flows()
 
     def forget_system(self, sysid: int) -> None:
@@ -144,7 +144,7 @@ class Components:
     def close(self) -> None:
         """The daemon ends."""
         for actor in self._by_key.values():
-            actor.close()
+            actor.close("skygcs is shutting down")
 
     def name_of(self, sysid: int, compid: int) -> str:
         """ "alpha/191"; "7/191" of a system without a vehicle."""
@@ -262,9 +262,9 @@ class ComponentActor:
         slot = self.component.slots.get(msgid)
         return None if slot is None else reading_of(slot, self._loop.time(), self.sysid, self.compid)
 
-    def close(self) -> None:
+    def close(self, reason: str) -> None:
         if self._commands is not None:
-            self._commands.close()
+            self._commands.close(reason)
 
     # -- orders
 

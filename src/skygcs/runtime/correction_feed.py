@@ -13,6 +13,7 @@ from typing import Any
 from skygcs.core.radio_link.corrections import MAX_TYPES, SOURCE_SILENT_S
 from skygcs.core.radio_link.rtcm import MAX_MESSAGE_BYTES, RtcmDeframer, content_of, fragments_of
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.token_bucket import TokenBucket
 from skygcs.core.vehicle.gate import standing
 from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
@@ -23,8 +24,12 @@ CORRECTIONS = standing("corrections")
 RATE_S = 10.0
 """Time over which the rate is measured: about the period of a base's slowest messages."""
 
-MAX_RECENT = 1024
-"""Messages kept for the rate; no base sends a hundred a second."""
+MESSAGES_PER_S, MESSAGE_BURST = 200.0, 1000.0
+"""A base with four constellations sends ten messages a second, at 10 Hz a hundred; each goes to every link and takes 20
+to 50 µs of the loop for each. What is beyond is refused: the newest of a flood is worth no more than the oldest."""
+
+MAX_RECENT = round(MESSAGES_PER_S * RATE_S + MESSAGE_BURST)
+"""Messages kept for the rate: all that are admitted within its time."""
 
 
 class CorrectionFeed:
@@ -46,6 +51,7 @@ class CorrectionFeed:
         self.own_source: Callable[[], dict[str, Any]] | None = None
         """The status of the source that this daemon asks itself ([corrections]); None: it has none."""
         self._recent: deque[tuple[float, int]] = deque(maxlen=MAX_RECENT)
+        self._rate = TokenBucket(MESSAGES_PER_S, MESSAGE_BURST, clock())
 
     def send(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
         """Take the next piece of the stream of ``source`` (``end``: the last one); returns the result for the messages
@@ -60,7 +66,7 @@ class CorrectionFeed:
         for message in self._deframer.feed(data):
             if len(message) > MAX_MESSAGE_BYTES:
                 self._sent["too_long"] += 1
-            elif not self._spread(message):
+            elif not (self._rate.take(now) and self._spread(message)):
                 self._sent["refused"] += 1
             else:
                 type_ = content_of(message).type
@@ -75,6 +81,10 @@ class CorrectionFeed:
             "types": {str(type_): count for type_, count in sorted(types.items())},
             "links": channels,
         }
+
+    def woke(self) -> None:
+        """After a sleep or a standstill: a message of which only a part came is not continued by what comes now."""
+        self._deframer.drop_held()
 
     @property
     def totals(self) -> dict[str, int]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
@@ -33,13 +33,13 @@ from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.flight_notes import FlightNotes
+from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
-from skygcs.runtime.sleep_watch import SleepWatch
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
@@ -101,8 +101,8 @@ class Fleet:
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
         self.flights_elsewhere: dict[str, NewFlight] = {}  # the daemon adds those of its extensions
-        self.on_woke: list[Callable[[float], None]] = []
-        """Called with the seconds after a sleep of the computer."""
+        self.on_woke: list[Callable[[Standstill], None]] = []
+        """Called after a sleep of the computer or a standstill of this process."""
         self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
         self._links = links or WideLinks()
@@ -112,6 +112,7 @@ class Fleet:
         own = config.daemon
         self._own_key = own.sysid << 8 | own.compid
         self._own_ids_at = -math.inf
+        # orders and what is kept of them on disk
         self.disk = DiskWriter(loop, on_event)
         self.journal = UndoJournal(own.log_dir / "undo")
         self.undo = UndoOrders(self.journal, self.vehicles, loop.time, self.disk, on_event)
@@ -122,19 +123,20 @@ class Fleet:
         self._services = self._new_services(param_cache, probes=probes)
         self.turns = MissionTurns(loop, on_event)
         self.orders = FleetOrders(self, self._services, self.monitor, self.returns, self.turns)
-        self.sleep = SleepWatch(self._woke)
-        self.flights = FlightJournal(own.log_dir, self.disk, on_event)
+        self.sleep = SleepWatch(self._woke, loop)
+        self.flights = FlightJournal(own.log_dir, self.disk, on_event, boot_clock(loop))
         self._owed: dict[int, str] = {}
         """By key, who flew a vehicle that was dropped in the air, for when it is heard again."""
         self._unknown_until = -math.inf
         """Until when a vehicle that is heard first may have been flown by the daemon before."""
-        self._met_on: dict[int, str] = {}
-        """By key, the link on which a vehicle was first heard."""
+        self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
         self.plans = PlanPlace(loop.time, self._report_fault, self.trajectories.pause_plans)
-        self.notes = FlightNotes(self.vehicles, self._add, self.flights, own.vehicle_timeout_s, dialect, loop, on_event)
+        lost_s, waits = own.vehicle_timeout_s, self.returns.waits
+        self.notes = FlightNotes(self.vehicles, self._add, waits, self.flights, lost_s, dialect, loop, on_event)
+        # other components, and configured vehicles
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
@@ -189,7 +191,8 @@ class Fleet:
     def tick(self, now: float) -> None:
         """Call `tick` of every vehicle, even if one fails; the first exception is raised at the end."""
         fault: Exception | None = None
-        self.sleep.check()
+        if self.sleep.check():
+            return
         for actor in list(self.vehicles.values()):
             try:
                 actor.tick(now)
@@ -288,12 +291,12 @@ class Fleet:
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
-        return targets.select(expression, self.vehicles.values())
+        return targets.select(expression, self.vehicles.values(), self._unheard())
 
     def resolve_any(self, expression: str | int | Sequence[str | int]) -> list[Actor]:
         """`resolve` with components: "7/191" and "alpha/191" may also name components. Raises TargetError."""
         vehicles: list[Actor] = [*self.vehicles.values()]
-        return targets.select_any(expression, vehicles, [*self.components.all()])
+        return targets.select_any(expression, vehicles, [*self.components.all()], self._unheard())
 
     def sources(self, expression: str | int | Sequence[str | int]) -> set[int]:
         """The sources (sysid << 8 | compid) of a target expression; a vehicle's name or system id gives component 0,
@@ -444,12 +447,14 @@ class Fleet:
         confirmed: Mapping[str, Mapping[str, float]] | None = None,
     ) -> dict[str, Any]:
         """See `examine_all`; includes the vehicles of the fleet file that are not heard. Raises TargetError."""
-        heard = list(self.vehicles.values())
-        unheard = [Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid)]
-        everything: list[VehicleActor | Unheard] = [*heard, *unheard]
+        everything: list[VehicleActor | Unheard] = [*self.vehicles.values(), *self._unheard()]
         found = targets.select(expression, everything)
         vehicles = {v.name: v if isinstance(v, Unheard) else v.preflight for v in found}
         return await examine_all(vehicles, fix=fix, confirmed=confirmed)
+
+    def _unheard(self) -> Iterator[Unheard]:
+        """The vehicles of the fleet file that are not heard."""
+        return (Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid))
 
     def preflight_status(self, expression: str | int | Sequence[str | int]) -> dict[str, Any]:
         """See `Preflight.status`. Raises TargetError."""
@@ -482,8 +487,8 @@ class Fleet:
         if now - self._own_ids_at >= OWN_IDS_AGAIN_S:
             self._own_ids_at = now
             text = (
-                f"an autopilot on {channel_label} has our own ids {frame.sysid}/{frame.compid}: it is no vehicle here; "
-                "give it another system id, or set daemon.sysid"
+                f"an autopilot on {channel_label} has our own ids {frame.sysid}/{frame.compid}: it is not a vehicle "
+                "here; give it another system id, or set daemon.sysid"
             )
             self._on_event(Event("conflict", None, frame.sysid, text, {"link": channel_label}))
 
@@ -542,6 +547,7 @@ class Fleet:
         # into the tables
         self.components.forget(key)
         self.vehicles[key] = actor
+        self._owed.pop(key, None)
         self._of_system.setdefault(sysid, set()).add(key)
         self._met_on[key] = link
         self._links.forget_flows()
@@ -550,27 +556,40 @@ class Fleet:
 
     def recall(self) -> None:
         """Take what flew from the journal of the daemon before (`FlightNotes.recall`)."""
-        self.notes.recall(self.flights.recall())
+        self.notes.recall(self.flights.recall(), "a restart")
         if self.flights.unreadable:
             self._unknown_until = self._loop.time() + UNKNOWN_S
 
-    def _woke(self, slept_s: float) -> None:
-        """The computer slept, and the loop's clock with it: what was known of vehicles is forgotten, as by a restart.
+    def _woke(self, pause: Standstill) -> None:
+        """The computer slept, or this process stood still: what was known of vehicles is forgotten, as by a restart.
         Flights under our control end; what flew is looked for, and held when it is heard."""
         now = self._loop.time()
-        text = (
-            f"this computer slept for {slept_s:.0f} s: control has ended, nothing that was known of vehicles counts; "
-            "a ground station must not sleep (systemd-inhibit, or the settings of its power)"
-        )
-        self._on_event(Event("warning", None, None, text, {"slept_s": round(slept_s, 1)}))
-        notes = self.notes.of_flights(now, time.time() - now - slept_s)
-        for key in list(self.vehicles):
-            self._drop(key)
+        text = f"{pause.text}: control has ended, nothing that was known of vehicles counts"
+        if pause.slept:
+            text += "; a ground station must not sleep (systemd-inhibit, or the settings of its power)"
+        data = {"slept_s" if pause.slept else "stood_still_s": round(pause.seconds, 1)}
+        self._on_event(Event("warning", None, None, text, data))
+        # what would go on ordering beyond the actors
+        self._contained(self.turns.end, pause.text)
+        self._contained(self.returns.end, pause.text)
+        notes = self.notes.of_flights(now, time.time() - now - pause.missed_s)
+        self._contained(self.orders.close, pause.text)
+        self._contained(self.monitor.close)
+        for key, actor in list(self.vehicles.items()):
+            self._contained(actor.runner.cut_stops, pause.text)
+            self._contained(self._drop, key, pause.text)
         for component in list(self.components.all()):
-            self.components.forget(component.sysid << 8 | component.compid)
-        self.notes.recall(notes)
+            self._contained(self.components.forget, component.sysid << 8 | component.compid, pause.text)
+        self._contained(self.notes.recall, notes, pause.name)
         for listener in self.on_woke:
-            listener(slept_s)
+            self._contained(listener, pause)
+
+    def _contained(self, step: Callable[..., object], *arguments: object) -> None:
+        """A step of a wake, whose fault keeps no other from being done."""
+        try:
+            step(*arguments)
+        except Exception as error:
+            self._report_fault(error)
 
     def _first(self, sysid: int) -> VehicleActor | None:
         """The vehicle of a system: its autopilot with the lowest component id."""
@@ -640,14 +659,14 @@ class Fleet:
         text = f"{old.name} was system {old.sysid} and is {heartbeat.sysid} now"
         self._on_event(Event("vehicle_forgotten", old.name, old.sysid, text, {"sysid": heartbeat.sysid}))
 
-    def _drop(self, key: int) -> VehicleActor:
+    def _drop(self, key: int, why: str = "it was forgotten") -> VehicleActor:
         actor = self.vehicles.pop(key)
         owed_to = actor.unattended.watch.owed_to
         if owed_to is not None and may_fly(actor.vehicle, self._loop.time()) and len(self._owed) < MAX_VEHICLES:
             self._owed[key] = owed_to
         self._of_system[key >> 8].discard(key)
         del self._met_on[key]
-        actor.close()
+        actor.close(why)
         self._links.forget_flows()
         return actor
 

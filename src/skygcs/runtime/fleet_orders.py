@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from skygcs.core.geo import Origin, world_from_enu
@@ -25,10 +26,10 @@ from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
-from skygcs.runtime.returns import Returns, read_return_height
+from skygcs.runtime.returns import Returns, Waiting, read_return_height
 from skygcs.runtime.separation_monitor import SeparationMonitor
-from skygcs.runtime.task_set import TaskSet
-from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.task_set import ORDER_SERIAL, Asked, TaskSet, ask
+from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
@@ -56,6 +57,9 @@ CARRIED_ON = frozenset[Order](
     {VehicleActor.land, VehicleActor.rtl, VehicleActor.hold, VehicleActor.stop, VehicleActor.disarm}
 )
 """Orders that end a flight are carried on to their outcome, even if the client that gave them disconnects meanwhile."""
+
+NEVER_LATE = frozenset[Order]({VehicleActor.stop, onboard_orders.upload_plan})
+"""Orders that a newer one does not make void while they wait: the stop has the last word, an upload moves nothing."""
 
 MAX_KEPT = 64
 """Kept orders in progress at one time; further ones end when their client disconnects. Each lasts seconds."""
@@ -101,6 +105,41 @@ class Targets(Protocol):
     def resolve_any(self, expression: str | int | Sequence[str | int]) -> list[Actor]: ...
 
 
+@dataclass(slots=True, eq=False)
+class Given:
+    """One call of `command_all`. ``outcomes``: of those for which it has ended."""
+
+    order: Order
+    serial: int
+    reports: Reports
+    outcomes: dict[str, Any] = field(default_factory=dict)
+    ended_by: str = "the client that gave it is gone"
+    """Why it ends, if it is cancelled."""
+
+    def ended(self, vehicle: str, outcome: Any) -> None:
+        self.outcomes[vehicle] = outcome
+        self.reports.ended(vehicle, outcome)
+
+    def cancelled(self) -> Outcome:
+        """The outcome for one for which it had not ended when it was cancelled."""
+        return Outcome(False, "cancelled", f"cancelled: {self.ended_by}")
+
+    def all_outcomes(self, actors: Sequence[Actor]) -> dict[str, Any]:
+        """By name, also for those for which it was cancelled."""
+        return {actor.name: self.outcomes.get(actor.name, self.cancelled()) for actor in actors}
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """An order to several as it is given: who does not get it, and why; each vehicle's own arguments, the places to
+    which they are sent, and how those return that are one of several."""
+
+    refusals: Mapping[Actor, str]
+    own_arguments: Mapping[VehicleActor, Mapping[str, Any]]
+    places: Mapping[VehicleActor, tuple[float, float, float]]
+    returning: Mapping[VehicleActor, Waiting]
+
+
 class FleetOrders:
     """`command_all` for each order. ``ends_only``: set when the daemon ends; only the orders of `CARRIED_ON` are taken
     then. Call `close` at the end."""
@@ -119,10 +158,19 @@ class FleetOrders:
         self._dialect, self._send = services.dialect, services.send
         self._loop, self._on_event = services.loop, services.on_event
         self._kept = TaskSet(services.loop, services.on_event)
+        self._begun: dict[Given, asyncio.Task[Any]] = {}
+        """Those in ``_kept`` that have begun."""
+        self._generation = 0
+        """Number of calls of `close`."""
+        self._closed_by = SHUTDOWN
 
-    def close(self) -> None:
-        """End the orders that go on without their client."""
-        self._kept.close()
+    def close(self, why: str = SHUTDOWN) -> None:
+        """End the orders that go on without their client; each is answered, and so reported."""
+        self._generation += 1
+        self._closed_by = why
+        for given, task in self._begun.items():
+            given.ended_by = why
+            task.cancel()
 
     async def command_all(
         self,
@@ -137,9 +185,9 @@ class FleetOrders:
 
         Raises TargetError before anything is sent. An order to all vehicles that fits in one frame is broadcast; each
         vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
-        cancelled, the orders of `CARRIED_ON` go on, all others end. Raises RefusedError for a stop, or a disarming of a
-        duplicate system id, without the confirmation it needs (``confirm``, see `core.vehicle.stop`). ``reports`` gets
-        each vehicle's outcome when it comes.
+        cancelled, the orders of `CARRIED_ON` go on, all others end; `close` ends those with an answer. Raises
+        RefusedError for a stop, or a disarming of a duplicate system id, without the confirmation it needs
+        (``confirm``, see `core.vehicle.stop`). ``reports`` gets each vehicle's outcome when it comes.
         """
         name = order.__name__
         if self.ends_only and order not in CARRIED_ON:
@@ -152,10 +200,40 @@ class FleetOrders:
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         if order in CARRIED_ON:
             self._turns.taken(actors, name)
-        work = self._command(actors, order, args, arguments, reports or Unreported())
+        given = Given(order, ask(), reports or Unreported())  # here: what is carried on begins a turn of the loop later
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
-            return await work
+            return await self._command(actors, given, args, arguments)
+        work = self._carry_on(actors, given, args, arguments, self._generation)
         return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
+
+    async def _carry_on(
+        self,
+        actors: list[Actor],
+        given: Given,
+        args: tuple[Any, ...],
+        arguments: dict[str, Any],
+        generation: int,
+    ) -> dict[str, Outcome]:
+        """`_command` without its client, as a task of its own. Whatever ends it, who asked for it gets an answer."""
+        if generation != self._generation:
+            given.ended_by = self._closed_by
+            self._report_cancelled(actors, given)
+            return given.all_outcomes(actors)
+        task = asyncio.current_task()
+        assert task is not None
+        self._begun[given] = task
+        try:
+            return await self._command(actors, given, args, arguments)
+        except asyncio.CancelledError:
+            return given.all_outcomes(actors)
+        finally:
+            del self._begun[given]
+
+    def _report_cancelled(self, actors: Sequence[Actor], given: Given) -> None:
+        """An order has ended before it was sent to anyone."""
+        for vehicle in (actor for actor in actors if isinstance(actor, VehicleActor)):
+            outcome = vehicle.runner.finish(given.order.__name__, given.cancelled())
+            given.ended(vehicle.name, _shaped(given.order, outcome))
 
     async def push_origin(
         self,
@@ -186,39 +264,51 @@ class FleetOrders:
         return actor.setpoint(**setpoint) if why is None else Outcome.refused(why)
 
     async def _command(
-        self,
-        actors: list[Actor],
-        order: Order,
-        args: tuple[Any, ...],
-        arguments: dict[str, Any],
-        reports: Reports,
+        self, actors: list[Actor], given: Given, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
-        reports.begun([actor.name for actor in actors])
-        vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
+        given.reports.begun([actor.name for actor in actors])
+        try:
+            decided = await self._decide(actors, given, arguments)
+        except asyncio.CancelledError:
+            self._report_cancelled(actors, given)
+            raise
+        try:
+            return await self._give(actors, given, decided, args, arguments)
+        finally:
+            self._returning.run(decided.returning.values())
+
+    async def _decide(self, actors: Sequence[Actor], given: Given, arguments: dict[str, Any]) -> Decided:
+        """Decide what each vehicle is to do; takes out of ``arguments`` what is only for that. Nothing is sent yet."""
+        order, vehicles = given.order, [actor for actor in actors if isinstance(actor, VehicleActor)]
+        asked = {actor: actor.runner.asked(given.serial) for actor in vehicles}
         # what each vehicle is to do: places of its own, or why it stays
-        climbing = await self._takeoffs_ended(vehicles, arguments) if order is VehicleActor.goto else {}
-        own_arguments, staying, places = (
-            self._going([actor for actor in vehicles if actor not in climbing], arguments)
-            if order is VehicleActor.goto
-            else ({}, {}, {})
-        )
+        climbing = await self._takeoffs_ended(vehicles, arguments, asked) if order is VehicleActor.goto else {}
+        going = [actor for actor in vehicles if actor not in climbing] if order is VehicleActor.goto else []
+        own_arguments, staying, places = self._going(going, arguments) if going else ({}, {}, {})
         if order is onboard_orders.upload_plan:
             own_arguments, staying = await self._arranged(vehicles, arguments)
-        # why an order is not sent: authority, the order of returns, other missions
+        # why an order is not sent: authority, the order of returns, other missions, a newer order meanwhile
         refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
         for actor in actors if order is not VehicleActor.stop else ():
             if (why := self._links.authority_refusal(actor.sysid)) is not None:
                 refusals[actor] = why
-        waiting = await self._returns(vehicles, refusals, arguments) if order is VehicleActor.rtl else {}
+        returning = await self._returns(given, vehicles, refusals, arguments) if order is VehicleActor.rtl else {}
         free = [actor for actor in vehicles if actor not in refusals]
         refusals.update((await self._mission_refusals(free, order, arguments)).items())
-        refused = {
-            actor.name: _shaped(order, actor.refuse(order.__name__, reason)) for actor, reason in refusals.items()
-        }
-        for name, outcome in refused.items():
-            reports.ended(name, outcome)
+        refusals.update(self._late(order, {actor: asked[actor] for actor in free}).items())
+        return Decided(refusals, own_arguments, places, returning)
+
+    async def _give(
+        self, actors: list[Actor], given: Given, decided: Decided, args: tuple[Any, ...], arguments: dict[str, Any]
+    ) -> dict[str, Outcome]:
+        """Give the order as it was decided, and refuse it to those that do not get it."""
+        order, refusals, places = given.order, decided.refusals, decided.places
+        vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
+        for actor, reason in refusals.items():
+            given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
         # one frame to all where the order may be broadcast, then one task per vehicle for its answer
-        broadcast = None if waiting else self._broadcast_command(vehicles, order)
+        waits = refusals or any(one.holds_first for one in decided.returning.values())
+        broadcast = None if waits else self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
@@ -226,30 +316,45 @@ class FleetOrders:
                 for actor in actors:
                     if actor in refusals:
                         continue
-                    own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
-                    if isinstance(actor, VehicleActor) and actor in waiting:
-                        work = self._guarded(actor, order, self._returning.wait, (waiting[actor],), {})
-                    else:
-                        method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
-                        work = self._guarded(actor, order, method, args, {**arguments, **own})
-                    call = _reported(reports, actor.name, work)
+                    own = decided.own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
+                    returns = decided.returning.get(actor) if isinstance(actor, VehicleActor) else None
+                    work = self._guarded(actor, given, returns, args, {**arguments, **own})
+                    call = _reported(given, actor.name, work)
                     tasks[actor] = group.create_task(call, name=f"{order.__name__} {actor.name}")
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
-                    self._broadcast(broadcast)
+                    # if one was refused, or waits for the end of a newer order, each gets its own frame
+                    behind = any(vehicle.runner.is_behind(given.serial) for vehicle in vehicles)
+                    if not behind and not any(task.done() for task in tasks.values()):
+                        self._broadcast(broadcast)
         finally:
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
-            self._returning.run()
             for actor in places:
                 self._monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
-        return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
+        return {name: tasks[a].result() if a in tasks else given.outcomes[name] for a, name in names.items()}
 
     async def _guarded(
-        self, actor: Actor, order: Order, method: Order, args: tuple[Any, ...], arguments: dict[str, Any]
+        self,
+        actor: Actor,
+        given: Given,
+        returns: Waiting | None,
+        args: tuple[Any, ...],
+        arguments: dict[str, Any],
     ) -> Outcome:
-        """Contain an internal fault in the order to one vehicle. ``method``: what carries it out."""
+        """Contain an internal fault in the order to one vehicle. ``returns``: it is one of several that return. To be
+        run as a task of its own; a newer order may have been sent between its making and its start."""
+        order = given.order
+        ORDER_SERIAL.set(given.serial)
+        if isinstance(actor, VehicleActor):
+            late = self._late(order, {actor: Asked(given.serial)})
+            if actor in late:
+                refused: Outcome = _shaped(order, actor.refuse(order.__name__, late[actor]))
+                return refused
+        method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
         try:
+            if returns is not None:
+                return await self._returning.carry_out(returns)
             outcome: Outcome = await method(actor, *args, **arguments)
         except Exception as error:
             self._on_event(
@@ -319,26 +424,40 @@ class FleetOrders:
         return dict(zip(runs, found, strict=True))
 
     async def _returns(
-        self, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
-    ) -> dict[VehicleActor, str]:
+        self, given: Given, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
+    ) -> dict[VehicleActor, Waiting]:
         """Before the order to return: who has to wait, and for whom. A single vehicle never has to."""
         at_end = arguments.pop("at_end", "hold")
         returning = [actor for actor in actors if actor not in refusals]
-        return await self._returning.begin(returning, at_end=at_end) if len(returning) > 1 else {}
+        if len(returning) == 1:
+            self._returning.join(returning[0])
+        return await self._returning.begin(returning, given.serial, at_end=at_end) if len(returning) > 1 else {}
 
     async def _takeoffs_ended(
-        self, actors: list[VehicleActor], arguments: Mapping[str, Any]
+        self, actors: list[VehicleActor], arguments: Mapping[str, Any], asked: dict[VehicleActor, Asked]
     ) -> dict[VehicleActor, str]:
         """Before a goto: wait until no take-off of these vehicles is under way, unless ``force``, so that they leave
-        together from where they will be; returns why some do not go."""
+        together from where they will be; returns why some do not go. Control that begins after a take-off is no newer
+        order: the mode in ``asked`` is renewed when the take-off of that vehicle has ended."""
+
+        async def ended(actor: VehicleActor) -> str | None:
+            why = await actor.takeoffs.ended()
+            asked[actor] = actor.runner.asked(asked[actor].serial)
+            return why
+
         waiting = {actor: why for actor in actors if (why := actor.takeoffs.under_way()) is not None}
         if arguments.get("force") or not waiting:
             return {}
         for actor, why in waiting.items():
             text, data = f"goto: waits until its take-off has ended: {why}", {"order": "goto", "result": "in_progress"}
             self._on_event(Event("command", actor.name, actor.sysid, text, data))
-        ends = await asyncio.gather(*(actor.takeoffs.ended() for actor in waiting))
-        return {actor: why for actor, why in zip(waiting, ends, strict=True) if why is not None}
+        ends = await asyncio.gather(*(ended(actor) for actor in waiting))
+        return _overtaken(asked) | {a: why for a, why in zip(waiting, ends, strict=True) if why is not None}
+
+    def _late(self, order: Order, asked: Mapping[VehicleActor, Asked]) -> dict[VehicleActor, str]:
+        """Those that were ordered something else while this order waited, and why it does not go to them. What ends a
+        flight goes out although the mode has changed: a failsafe of the vehicle's own may have changed it."""
+        return {} if order in NEVER_LATE else _overtaken(asked, by_mode=order not in CARRIED_ON)
 
     def _going(
         self, actors: list[VehicleActor], arguments: dict[str, Any]
@@ -423,8 +542,8 @@ class FleetOrders:
         hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
         if order not in BROADCAST or len(hearers) < 2 or not self._links.may_broadcast():
             return None
-        if len(actors) != len(self._targets.vehicles) or self._targets.refused_vehicles:
-            return None  # an autopilot was heard that is not a target
+        if set(actors) != set(self._targets.vehicles.values()) or self._targets.refused_vehicles:
+            return None  # an autopilot was heard that is not a target, or one was dropped since they were named
         specs: set[CommandSpec] = set()
         for actor in actors:
             plan = actor.plan(BROADCAST[order])
@@ -444,6 +563,12 @@ class FleetOrders:
         self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
 
+def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> dict[VehicleActor, str]:
+    """Those for which the order comes too late, and why; see `OrderRunner.overtaken`."""
+    late = {actor: actor.runner.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
+    return {actor: why for actor, why in late.items() if why is not None}
+
+
 async def _in_turns(work: Generator[None, None, Made]) -> Made:
     """Carry out work that yields; others get their turn each time."""
     while True:
@@ -455,10 +580,10 @@ async def _in_turns(work: Generator[None, None, Made]) -> Made:
         await asyncio.sleep(0)
 
 
-async def _reported(reports: Reports, name: str, work: Awaitable[Outcome]) -> Outcome:
+async def _reported(given: Given, name: str, work: Awaitable[Outcome]) -> Outcome:
     """Await the outcome of an order to one vehicle, and report it."""
     outcome = await work
-    reports.ended(name, outcome)
+    given.ended(name, outcome)
     return outcome
 
 

@@ -21,6 +21,22 @@ from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 
 
+class FlownBySetpoints(Protocol):
+    """Flight by setpoints, which a newer order takes over: it holds the vehicle until that order has taken effect."""
+
+    def hand_over(self, reason: str) -> None:
+        """A newer order is about to be sent."""
+        ...
+
+    def taken_over(self) -> None:
+        """The order has taken effect: send nothing more. Idempotent."""
+        ...
+
+    def keep(self, why: str) -> None:
+        """The order did not take effect: go on holding. Idempotent."""
+        ...
+
+
 class ClockFigures(Protocol):
     """Figures of a control clock; see `ControlClock`."""
 
@@ -155,4 +171,4 @@ class FlightElsewhere(Protocol):
     def watch(self, now: float) -> None: ...
     def status(self, now: float) -> dict[str, Any]: ...
     async def settled(self) -> None: ...
-    def close(self) -> None: ...
+    def close(self, reason: str) -> None: ...

@@ -2,6 +2,10 @@
 
 It is written beside the loop (`DiskWriter`), at changes of state and every `PERIOD_S` while a vehicle is in the air;
 while the disk is stuck only the newest content waits for it.
+
+Times in it are Unix time. Beside them stand the id of this start of the computer, and how far Unix time was ahead of
+the clock of that start: a wall clock that was set meanwhile (by NTP, or by a person) makes no note of the same start
+older or newer.
 """
 
 from __future__ import annotations
@@ -9,15 +13,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.files import make_log_folder, open_regular, write_whole
+from skygcs.config.files import boot_id, make_log_folder, open_regular, write_whole
 from skygcs.core.vehicle.flight_note import FlightNote
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
+from skygcs.number_text import is_number
 
 FORMAT = 2
 
@@ -39,7 +46,10 @@ MAX_BYTES = 1_000_000
 class FlightJournal:
     """`recall` once, at the begin; then `note` some times a second."""
 
-    def __init__(self, folder: Path, disk: DiskWriter, on_event: Callable[[Event], None]) -> None:
+    def __init__(
+        self, folder: Path, disk: DiskWriter, on_event: Callable[[Event], None], clock: Callable[[], float]
+    ) -> None:
+        """``clock``: `loop_clock.boot_clock`."""
         self._path = folder / FILE
         self._disk = disk
         self._on_event = on_event
@@ -48,6 +58,8 @@ class FlightJournal:
         self._writing = False
         self._waiting: bytes | None = None
         self._failed = False
+        self._clock = clock
+        self._boot_id = boot_id()
         self.unreadable = False
         """There is a journal of the daemon before, and it cannot be read: anything may have been flown."""
 
@@ -58,7 +70,8 @@ class FlightJournal:
                 table = json.loads(file.read(MAX_BYTES))
             if table["format"] != FORMAT:
                 raise ValueError(f"format {table['format']!r}")
-            return [FlightNote.from_json(note) for note in table["notes"][:MAX_NOTES]]
+            notes = [FlightNote.from_json(note) for note in table["notes"][:MAX_NOTES]]
+            return self._by_wall_clock(table, notes)
         except FileNotFoundError:
             return []
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -76,8 +89,13 @@ class FlightJournal:
     def note(self, notes: Sequence[FlightNote], states: tuple[Any, ...], now: float) -> None:
         """Write these notes, as soon as the disk takes them."""
         self._states, self._noted_at = states, now
-        content = json.dumps({"format": FORMAT, "notes": [note.as_json() for note in notes[:MAX_NOTES]]})
-        self._waiting = content.encode()
+        table = {
+            "format": FORMAT,
+            "boot_id": self._boot_id,
+            "unix_less_boot_s": time.time() - self._clock(),
+            "notes": [note.as_json() for note in notes[:MAX_NOTES]],
+        }
+        self._waiting = json.dumps(table).encode()
         self._write_next()
 
     def _write_next(self) -> None:
@@ -98,6 +116,15 @@ class FlightJournal:
             self._report(f"{self._path} cannot be written: {error}; a restart will not know what flies")
         self._failed = error is not None
         self._write_next()
+
+    def _by_wall_clock(self, table: Mapping[str, Any], notes: list[FlightNote]) -> list[FlightNote]:
+        """The notes with their times as the wall clock would have shown them that is right now, if they are of this
+        start of the computer; those of another start, or of a version before, as they are."""
+        ahead_s = table.get("unix_less_boot_s")
+        if not self._boot_id or table.get("boot_id") != self._boot_id or not is_number(ahead_s):
+            return notes
+        set_by_s = time.time() - self._clock() - ahead_s
+        return [replace(note, frames=tuple((at + set_by_s, raw) for at, raw in note.frames)) for note in notes]
 
     def _report(self, text: str) -> None:
         self._on_event(Event("warning", None, None, text, {"file": str(self._path)}))

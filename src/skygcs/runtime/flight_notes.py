@@ -60,6 +60,7 @@ class FlightNotes:
         self,
         vehicles: Mapping[int, VehicleActor],
         add: Callable[[int, int, str, str | None], VehicleActor],
+        waits: Callable[[int], bool],
         journal: FlightJournal,
         timeout_s: float,
         dialect: Dialect,
@@ -67,18 +68,20 @@ class FlightNotes:
         on_event: OnEvent,
     ) -> None:
         """``vehicles``: of the fleet, by key. ``add``: adds a vehicle with these ids, heard on this link, flown by
-        this before. ``timeout_s``: how long a vehicle that was recalled may stay unheard before it is reported as
-        lost."""
+        this before. ``waits``: `Returns.waits`. ``timeout_s``: how long a vehicle that was recalled may stay unheard
+        before it is reported as lost."""
         self.charges = ChargeRecords(vehicles)
         self._vehicles = vehicles
         self._add = add
+        self._waits = waits
         self._journal = journal
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
         self._timeout_s = timeout_s
-        self._recalled: dict[int, float] = {}
-        """By key, until when a vehicle that was recalled may be heard before it is reported as lost."""
+        self._recalled: dict[int, tuple[float, str]] = {}
+        """By key, until when a vehicle that was recalled may be heard before it is reported as lost, and what it flew
+        before."""
 
     def tick(self, now: float) -> None:
         """Note the charges and what flies, and report what was recalled and is not heard."""
@@ -87,9 +90,9 @@ class FlightNotes:
             self._report_recalled(now)
         self.note_flights(now)
 
-    def recall(self, notes: Iterable[FlightNote]) -> None:
-        """Take back what flew: a vehicle that was in the air counts as lost there until it is heard, and one that our
-        setpoints flew is held then."""
+    def recall(self, notes: Iterable[FlightNote], pause: str) -> None:
+        """Take back what flew before ``pause`` ("a restart"): a vehicle that was in the air counts as lost there until
+        it is heard, and one that our setpoints flew is held then."""
         now, unix_now = self._loop.time(), time.time()
         for note in notes:
             self.charges.recalled[note.key] = FlightRecord(note.flown_s, note.dropped_percent)
@@ -99,25 +102,32 @@ class FlightNotes:
             # a clock that was set back meanwhile, as on a computer without a battery for it, makes no note too old
             if not note.in_air or note.key in self._vehicles or not unix_now - heard_at < MAYBE_FLYING_S:
                 continue
-            actor = self._add(note.sysid, note.compid, "", note.flown_by and f"{note.flown_by} before a restart")
+            actor = self._add(note.sysid, note.compid, "", note.flown_by and f"{note.flown_by} before {pause}")
             actor.vehicle.recall((frame, now - max(0.0, unix_now - at)) for frame, at in frames)
-            self._recalled[note.key] = now + self._timeout_s
+            self._recalled[note.key] = now + self._timeout_s, pause
+            if note.waits:
+                text = f"rtl: it held until its way home was clear before {pause}, and nobody sends it home now"
+                data = {"order": "rtl", "result": "failed"}
+                self._on_event(Event("command", actor.name, actor.sysid, text, data))
 
     def _report_recalled(self, now: float) -> None:
         """Report vehicles of the journal that were not heard meanwhile."""
-        for key, due in list(self._recalled.items()):
+        for key, (due, pause) in list(self._recalled.items()):
             actor = self._vehicles.get(key)
             if actor is None or actor.vehicle.connected or now >= due:
                 del self._recalled[key]
                 if actor is not None and not actor.vehicle.connected:
-                    text = f"{lost_place(actor.vehicle, now)}; it was flying before skygcs was restarted"
+                    text = f"{lost_place(actor.vehicle, now)}; it was flying before {pause}"
                     self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"in_air": True}))
 
     def note_flights(self, now: float) -> None:
         """Note in the journal what flies."""
         actors = [a for a in self._vehicles.values() if not a.vehicle.replayed]
-        states = tuple((a.vehicle.key, is_flying(a.vehicle, now), a.unattended.watch.owed_to) for a in actors)
-        if not self._journal.due(states, now, flying=any(flying for _, flying, _ in states)):
+        states = tuple(
+            (a.vehicle.key, is_flying(a.vehicle, now), a.unattended.watch.owed_to, self._waits(a.vehicle.key))
+            for a in actors
+        )
+        if not self._journal.due(states, now, flying=any(flying for _, flying, _, _ in states)):
             return
         self._journal.note(self.of_flights(now, time.time() - now), states, now)
 
@@ -129,7 +139,6 @@ class FlightNotes:
             vehicle, (flown_s, dropped) = actor.vehicle, self.charges.record(actor).consumption
             frames = tuple((at + to_unix_s, f.raw) for f, at in vehicle.last_frames(KEPT_MESSAGES))
             if flying or flown_s > 0.0:
-                notes.append(
-                    FlightNote(vehicle.sysid, vehicle.compid, vehicle.name, flying, flown_by, frames, flown_s, dropped)
-                )
+                ids, waits = (vehicle.sysid, vehicle.compid), self._waits(vehicle.key)
+                notes.append(FlightNote(*ids, vehicle.name, flying, flown_by, frames, flown_s, dropped, waits))
         return notes

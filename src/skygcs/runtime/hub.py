@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.channel_policy import channel_policy
-from skygcs.config.models import FleetConfig, LinkConfig
+from skygcs.config.models import DaemonConfig, FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.msgids import SETUP_SIGNING
@@ -79,15 +79,10 @@ class Hub:
         own = config.daemon
         self.reading = ReadingTurns()
         self.fast_path: Table | None = new_table(dialect, recording=recorder is not None)
-        self.router = Router(
-            own.sysid,
-            own.compid,
-            route_timeout_s=own.route_timeout_s,
-            vehicle_timeout_s=own.vehicle_timeout_s,
-            duplicates=self.fast_path,
-        )
+        self.router = _router_of(own, self.fast_path)
         self._renumbering: dict[int, SysidTranslator] = {}
         """By channel id: translators of the frames sent there."""
+        # channels, and what is made of their frames
         self.channels: dict[int, Channel] = {}
         self.observers = FrameObservers()
         self.flows = Flows(
@@ -99,12 +94,13 @@ class Hub:
             each_frame=self._needs_each_frame,
             on_fault=self.fault,
         )
-        self.router.on_change = self.observers.on_change = self.flows.forget
+        self.router.table.on_change = self.observers.on_change = self.flows.forget
         self.statistics = ChannelStatistics(self.channels, self.router, self.flows, loop)
-        self.router.received = self.statistics.received
+        self.router.selection.received = self.statistics.received
         self.faults = 0
         self.replayed: set[int] = set()
         """Sources (sysid<<8|compid) that exist only in a recording: they take no orders."""
+        # ids, fleet and recorder
         self._config = config
         self.dialect = dialect
         self._loop = loop
@@ -113,12 +109,16 @@ class Hub:
         self._reports: RouteReports | None = None
         self._record = None if recorder is None else recorder.offer
         self._signing = signing
+        # gates of our own messages
         self.gate = OutgoingGate(loop.time, on_event)
         self.send_gates: SendGates | None = None
         """The gates of vehicles that an extension closes; None: there are none. See `gate_sending`."""
         self.boot_clock = boot_clock(loop)
         """The clock of gates. uvloop reads the loop's own once a turn: too old in a process that was stopped."""
         self._on_event = on_event
+        self.asleep: Callable[[], bool] = lambda: False
+        """Asked before a message of ours is made: `SleepWatch.check`."""
+        self.stale_frames = self._stale_reported = 0  # those that waited during a standstill: only recorded
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
@@ -129,10 +129,10 @@ class Hub:
         self._reports = reports
         self._fleet = self.flows.fleet = fleet
         if fleet is not None:
-            self.router.known = fleet.known
-            self.router.may_fly = fleet.may_fly
-            self.router.on_replaced = fleet.replaced
-            self.router.on_switched = self._on_switched
+            self.router.selection.known = fleet.known
+            self.router.table.may_fly = fleet.may_fly
+            self.router.selection.on_replaced = fleet.replaced
+            self.router.selection.on_switched = self._on_switched
 
     def gate_sending(self, gates: SendGates) -> None:
         """Ask these gates before bytes are sent. Call it once, before links open: raises RuntimeError afterwards, when
@@ -245,7 +245,7 @@ class Hub:
                 self.fault(error)
         if together:
             self._send_together(together)
-        if self.router.notes:
+        if self.router.table.notes:
             self._drain_notes()
 
     def _accepted(self, channel: Channel, frames: list[Frame], now: float) -> list[Frame]:
@@ -258,10 +258,25 @@ class Hub:
                 return []  # it counts as silence
         if channel.translator is not None:
             frames = channel.translator.inward(frames)
+        stale = self.reading.stale
+        if stale and (channel in stale or channel.link in stale):
+            self._only_record(frames)
+            return []
         channel.last_rx_at = now
         if self.fast_path is not None and self.fast_path.records_waiting:
             self.flows.take()  # earlier frames are recorded first
         return frames
+
+    def _only_record(self, frames: list[Frame]) -> None:
+        """They waited while this process did not run, and are as old as that."""
+        self.stale_frames += len(frames)
+        if self._record is None:
+            return
+        self.flows.take()  # earlier frames are recorded first
+        unix_us = time.time_ns() // 1000
+        for frame in frames:
+            if frame.msgid != SETUP_SIGNING:
+                self._record(frame.raw, unix_us)
 
     def _counts(self, channel: Channel, frame: Frame, verdict: RoutingVerdict, now: float) -> bool:
         """True if a frame of a vehicle that is heard on several channels counts for its state. A duplicate that counts
@@ -269,7 +284,8 @@ class Hub:
         copy = verdict is RoutingVerdict.DUPLICATE
         if verdict in _DROPPED and not copy:
             return False
-        counts = self.router.supplies(channel.id, frame, now, copy=copy)
+        copy_of = self.router.first_channel_id if copy else None
+        counts = self.router.selection.supplies(channel.id, frame, now, copy_of=copy_of)
         if counts and copy and self._fleet is not None:
             self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, channel.link.name, now)
         return counts
@@ -331,7 +347,7 @@ class Hub:
             target = target_of(frame.info, frame.payload)
         others: set[int] = set()
         if target == NO_TARGET and gates.leads_to_gated(channel_id):
-            others = {key >> 8 for key in self.router.autopilots_on(channel_id)}
+            others = {key >> 8 for key in self.router.table.autopilots_on(channel_id)}
         return gates.passes(channel_id, target, others, self.boot_clock())
 
     def _send_gated(self, gates: SendGates, source_id: int, frame: Frame, destinations: tuple[int, ...]) -> None:
@@ -339,7 +355,7 @@ class Hub:
         vehicles are heard."""
         if (
             gates.gates(frame.sysid)
-            and self.router.hears(source_id, frame.sysid)
+            and self.router.table.hears(source_id, frame.sysid)
             and gates.hear(source_id, frame.sysid)
         ):
             self.flows.forget()
@@ -403,15 +419,23 @@ class Hub:
 
     def carries_autopilot(self, channel: Channel) -> bool:
         """True if an autopilot is heard on this channel."""
-        return bool(self.router.autopilots_on(channel.id))
+        return bool(self.router.table.autopilots_on(channel.id))
 
     def leads_to_flying(self, channel: Channel) -> bool:
         """True if this channel is the last way to a vehicle that may be in the air: it is not given up."""
-        return self.router.leads_to_flying(channel.id)
+        return self.router.table.leads_to_flying(channel.id)
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
         """True if an unknown peer that sends these frames may be admitted; see `Signing.vouches_for`."""
         return self._signing is None or config.signing is None or self._signing.vouches_for(config.name, frames)
+
+    def woke(self) -> None:
+        """This process did not run for a while: what waits to be sent is dropped, and what waits in sockets and ports
+        is not routed."""
+        self.reading.woke()
+        self.flows.forget()
+        for channel in list(self.channels.values()):
+            channel.drop_waiting()
 
     def on_event(self, event: Event) -> None:
         """Publish an event of a link."""
@@ -457,9 +481,9 @@ class Hub:
         ids: tuple[int, ...],
         clearance: Clearance | None,
     ) -> OwnMessage | None:
-        """A message of ours to a system (0: to those on these channels); None if the outgoing gate keeps it back. The
-        only place that makes one."""
-        if not self.gate.passes(info.name, values, clearance, lambda: self._reached(sysid, ids)):
+        """A message of ours to a system (0: to those on these channels); None if the outgoing gate keeps it back, or it
+        was decided on before a standstill. The only place that makes one."""
+        if self.asleep() or not self.gate.passes(info.name, values, clearance, lambda: self._reached(sysid, ids)):
             return None
         message = OwnMessage(info, info.pack(values), *self._own)
         message.to_system, message.exempt = sysid, is_exempt(clearance)
@@ -529,14 +553,16 @@ class Hub:
 
     def choose_links(self, now: float) -> None:
         """Change over to the better link of each vehicle that is heard on several."""
-        self.router.choose_links(now)
-        for key, channel_id in self.router.links_to_probe(now):
+        self.router.selection.choose_links(now)
+        for key, channel_id in self.router.selection.links_to_probe(now):
             self._probe_link(key, channel_id)
-        if self.router.notes:
+        if self.router.table.notes:
             self._drain_notes()
 
     def _probe_link(self, key: int, channel_id: int) -> None:
         """Ask this vehicle over a link over which it did not hear us: its answer comes over the same link."""
+        if self._fleet is not None and key not in self._fleet.vehicles:
+            return  # after a standstill it has to be heard first
         info = self.dialect.by_name["TIMESYNC"]
         address = {"target_system": key >> 8, "target_component": key & 0xFF}
         named = {f.name for f in info.fields}
@@ -559,9 +585,16 @@ class Hub:
         """Expire routes and sample rates."""
         self.flows.take()
         self.router.expire(now)
-        if self.router.notes:
+        if self.router.table.notes:
             self._drain_notes()
         self.statistics.sample(now)
+        if self.stale_frames != self._stale_reported and not self.reading.stale:
+            self._report_stale()
+
+    def _report_stale(self) -> None:
+        number, self._stale_reported = self.stale_frames - self._stale_reported, self.stale_frames
+        text = f"{number} frames had waited while skygcs stood still: they are recorded, and were not used"
+        self._on_event(Event("warning", None, None, text, {"stale_frames": number}))
 
     def on_reboot(self, event: Event) -> None:
         """A vehicle has restarted."""
@@ -574,7 +607,7 @@ class Hub:
             self._reports.on_key(sysid, channel)
 
     def _drain_notes(self) -> None:
-        notes = self.router.notes
+        notes = self.router.table.notes
         while notes:
             note = notes.popleft()
             if self._reports is not None:
@@ -587,6 +620,16 @@ class Hub:
         if kind not in self._fault_kinds and len(self._fault_kinds) < 64:
             self._fault_kinds.add(kind)
             self._on_event(Event("fault", None, None, f"internal fault, please report it: {kind}", {}))
+
+
+def _router_of(own: DaemonConfig, duplicates: Table | None) -> Router:
+    return Router(
+        own.sysid,
+        own.compid,
+        route_timeout_s=own.route_timeout_s,
+        vehicle_timeout_s=own.vehicle_timeout_s,
+        duplicates=duplicates,
+    )
 
 
 def _target_in(info: MessageInfo, values: Mapping[str, Any]) -> int:

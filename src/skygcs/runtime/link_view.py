@@ -140,12 +140,14 @@ class LinkView:
         """Names of the links over which this vehicle was heard less than HEARD_S ago."""
         self._hub.flows.take()
         since, ids = self._links.now() - HEARD_S, (vehicle.sysid, vehicle.compid)
-        heard = (n for sysid, compid, n, at in self._hub.router.routes() if (sysid, compid) == ids and at >= since)
+        heard = (
+            n for sysid, compid, n, at in self._hub.router.table.routes() if (sysid, compid) == ids and at >= since
+        )
         return frozenset(self._hub.channels[n].link.name for n in heard if n in self._hub.channels)
 
     def uplink_lost(self, key: int) -> None:
-        """See `Router.uplink_lost`."""
-        self._hub.router.uplink_lost(key)
+        """See `SourceSelection.uplink_lost`."""
+        self._hub.router.selection.uplink_lost(key)
 
     def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
         """Frames of a vehicle on one channel by message id; None: it is heard on one channel only."""

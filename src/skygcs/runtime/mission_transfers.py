@@ -99,6 +99,8 @@ class Missions:
         self._on_progress = on_progress
         self._on_event = on_event
         # the transfer in progress
+        self._closed = ""
+        """Why it was closed."""
         self._lock = asyncio.Lock()
         self._waiting = 0
         self._running: tuple[MissionProtocol, asyncio.Future[None], str] | None = None
@@ -290,9 +292,10 @@ class Missions:
         if self._running is not None:
             self._apply(self._running[0].stop(self._loop.time(), result, message))
 
-    def close(self) -> None:
-        """The daemon ends."""
-        self.stop("cancelled", "skygcs is shutting down")
+    def close(self, reason: str) -> None:
+        """The daemon ends, or the vehicle is dropped: end the transfer for this reason."""
+        self._closed = reason
+        self.stop("cancelled", reason)
         self._timer.set(None)
 
     async def _run(self, protocol: MissionProtocol, what: str) -> MissionOutcome:
@@ -309,6 +312,8 @@ class Missions:
         finally:
             self._waiting -= 1
         try:
+            if self._closed:  # while it waited for its turn
+                return MissionOutcome(False, "cancelled", f"cancelled: {self._closed}", protocol.kind, "unchanged")
             return await self._protocol(protocol, what)
         finally:
             self._lock.release()

@@ -9,17 +9,23 @@ pilot: nothing starts by itself after a person has taken over.
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from typing import Any, Literal
 
-from skygcs.core.geo import distance_m
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.flight_evidence import LandingWatch
-from skygcs.core.vehicle.mission_orders import Turn, ends_on_ground, ends_with_return, last_moving, next_turn
-from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.mission_orders import (
+    HomeWatch,
+    Turn,
+    ends_on_ground,
+    ends_with_return,
+    is_at_home,
+    last_moving,
+    next_turn,
+)
+from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
@@ -27,12 +33,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 PERIOD_S = 0.5
-
-AT_HOME_M = 5.0
-"""A rover that returns stops so near its home (Rover: WP_RADIUS is 2 m)."""
-
-STANDS_MPS = 0.5
-"""Slower than any rover drives, and more than the noise of its GPS."""
 
 MAX_VEHICLES = 300
 """Vehicles in one round of turns, the most that a fleet has."""
@@ -54,7 +54,9 @@ class MissionTurns:
         self._at = 0
         """Index of the one whose turn it is."""
         self._numbers: dict[int, int] = {}
-        """The order number of each, by key, when it was last known to be ours."""
+        """By key, the number of the last order to each that moves it, or may, when that was last known to be ours."""
+        self._were_in: dict[int, Hands] = {}
+        """By key, whose hands each was in when the round began."""
         self._running: asyncio.Task[None] | None = None
 
     @property
@@ -70,7 +72,8 @@ class MissionTurns:
         if not 1 <= len(actors) <= MAX_VEHICLES:
             raise RefusedError(f"one after another: 1 to {MAX_VEHICLES} vehicles, not {len(actors)}")
         self._round, self._at = list(actors), 0
-        self._numbers = {actor.vehicle.key: actor.order_number for actor in actors}
+        self._numbers = {actor.vehicle.key: actor.runner.effective for actor in actors}
+        self._were_in = {actor.vehicle.key: hands(actor.vehicle, self._loop.time()) for actor in actors}
         first, *others = self._round
         begun: asyncio.Future[Outcome] = self._loop.create_future()
         self._running = self._tasks.start(self._fly(start, begun), "missions one after another")
@@ -134,7 +137,7 @@ class MissionTurns:
             if not outcome.ok:
                 self._report_end(f"{actor.name} did not start: {outcome.message}")
                 return
-            self._numbers[actor.vehicle.key] = actor.order_number
+            self._numbers[actor.vehicle.key] = actor.runner.effective
             if actor is self._round[-1]:
                 return
             items = await actor.missions.known_items()
@@ -143,7 +146,7 @@ class MissionTurns:
 
     async def _is_over(self, actor: VehicleActor, items: Sequence[MissionItem]) -> bool:
         """Wait until its turn is over; False: the turns have ended."""
-        mode, landing = actor.vehicle.mode, LandingWatch(self._loop.time())
+        mode, landing, home = actor.vehicle.mode, LandingWatch(self._loop.time()), HomeWatch()
         phase, since = None, self._loop.time()
         while True:
             await asyncio.sleep(PERIOD_S)
@@ -151,14 +154,17 @@ class MissionTurns:
             landing.look(actor.vehicle, now)
             if actor.vehicle.armed is not False:
                 mode = actor.vehicle.mode
-            taken = [a.name for a in self._round[self._at + 1 :] if a.order_number != self._numbers[a.vehicle.key]]
-            flown = self._look(actor, items, mode, landing)
+            left = self._round[self._at :]
+            taken = [text for a in left[1:] if (text := self._taken(a, now)) is not None]
+            flown = self._look(actor, items, mode, landing, home)
             if flown.phase != phase:
                 phase, since = flown.phase, now
             decision = next_turn(flown._replace(waited_s=now - since))
             if taken and decision.next != "end":
-                self._report_end(f"{', '.join(taken)} was ordered something else")
+                self._report_end("; ".join(taken))
                 return False
+            if decision.next == "start" and any(a.runner.moving for a in left):
+                continue  # what is being sent to one of them may be refused
             match decision.next:
                 case "start":
                     self._report(actor, f"{decision.why}: {self._round[self._at + 1].name} is next")
@@ -169,33 +175,36 @@ class MissionTurns:
                 case "wait":
                     continue
 
-    def _look(self, actor: VehicleActor, items: Sequence[MissionItem], mode: str, landing: LandingWatch) -> Turn:
+    def _taken(self, actor: VehicleActor, now: float) -> str | None:
+        """That one that waits was ordered something else, or is its pilot's now; None: neither."""
+        key = actor.vehicle.key
+        if actor.runner.effective > self._numbers[key]:
+            return f"{actor.name} was ordered something else"
+        why = taken_since(actor.vehicle, now, self._were_in[key])
+        return None if why is None else f"{actor.name}: {why}"
+
+    def _look(
+        self, actor: VehicleActor, items: Sequence[MissionItem], mode: str, landing: LandingWatch, home: HomeWatch
+    ) -> Turn:
         vehicle, now = actor.vehicle, self._loop.time()
+        flying = is_flying(vehicle, now)
         return Turn(
             actor.name,
             heard=vehicle.connected,
-            flying=is_flying(vehicle, now),
+            flying=flying,
             armed=vehicle.armed is not False,
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
-            ordered=actor.order_number != self._numbers[vehicle.key],
+            ordered=actor.runner.effective > self._numbers[vehicle.key],
             lands=ends_on_ground(items, vehicle.mission_return_rule.with_mission({item.command for item in items})),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),
             returns=ends_with_return(items),
-            at_home=self._is_at_home(vehicle),
+            at_home=is_at_home(vehicle, flying=flying),
+            home_s=home.stays_s(vehicle, now, flying=flying),
             landed=landing.verdict(vehicle, now),
             furthest=actor.missions.furthest,
         )
-
-    def _is_at_home(self, vehicle: Vehicle) -> bool:
-        """True if it is within the circle about its home, or where a vehicle stands that stops there."""
-        position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
-        if position is None or home is None or position["lat_deg"] is None:
-            return False
-        away_m = distance_m(position["lat_deg"], position["lon_deg"], home["lat_deg"], home["lon_deg"])
-        stands = vehicle.abilities.circles or math.hypot(*position["vel_enu_mps"][:2]) < STANDS_MPS
-        return stands and away_m <= vehicle.return_reach_m + AT_HOME_M
 
     def _report(self, actor: VehicleActor, text: str) -> None:
         self._on_event(Event("mission", actor.name, actor.sysid, f"one after another: {text}", {}))

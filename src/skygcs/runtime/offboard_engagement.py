@@ -13,28 +13,22 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import asdict, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.control import ControlSettings
 from skygcs.config.models import VehicleConfig
-from skygcs.core.control.analysis import LEAST_DELAY_S, bearable_delay_s, why_not_delay
-from skygcs.core.control.delay import FAST_PERIOD_S, PING_BYTES
-from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import BY_DELAY, ControlMode
 from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle import offboard_entry, orders
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
-from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
+from skygcs.core.vehicle.offboard_controller import OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.tracking_record import TrackingRecord
@@ -45,14 +39,16 @@ from skygcs.core.vehicle.trajectory_flight import (
     distance_refusal,
 )
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import ConfigError, RefusedError
+from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import SUPERSEDED, CommandClient
 from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.control_streams import ControlStreams
+from skygcs.runtime.control_tuning import ControlTuning, first_equal, law_json, offboard_config
+from skygcs.runtime.entry_conditions import EntryConditions
 from skygcs.runtime.order_runner import UNHEARD, OrderRunner
 from skygcs.runtime.stream_requester import StreamRequester
-from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.task_set import OWN, TaskSet
 from skygcs.runtime.trace_file import Recording
 from skygcs.runtime.vehicle_services import VehicleServices
 
@@ -95,9 +91,6 @@ FIRST_VERDICT_S = 1.0
 
 TIMESYNC = "TIMESYNC"
 
-SHORTEST_DELAY_S = 0.001
-"""Least limit of the guard."""
-
 GOLDEN_RATIO = 0.6180339887498949
 """Its multiples, without the whole turns, lie as far from each other as any number of them can: the ticks of a fleet
 that one order engages do not wait for each other."""
@@ -128,6 +121,7 @@ class OffboardEngagement:
             running_clocks=services.running_clocks,
         )
         self.tracking = TrackingRecord()
+        self._tuning = ControlTuning(self.controller, vehicle, settings)
         # collaborators
         self._vehicle = vehicle
         self._settings = settings
@@ -142,6 +136,7 @@ class OffboardEngagement:
         self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
         """Key in the link's queue: a newer setpoint replaces one that still waits."""
         # recording, tasks and streams of the engagement
+        self._conditions = EntryConditions(vehicle, settings, order_runner, services)
         self._trace = Recording(self.controller, services.log_dir, services.disk, services.on_event)
         self._tasks = TaskSet(services.loop, services.on_event, vehicle.name, vehicle.sysid)
         self._streams = ControlStreams(vehicle, config.streams, order_runner, streams, services, self._tasks)
@@ -155,13 +150,6 @@ class OffboardEngagement:
         """Why control ends as soon as the order that takes over has taken effect; None: no order takes over."""
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
-        # settings that last beyond one engagement
-        self._attitude_delay_s = settings.guard().attitude_delay_s
-        """Configured limit of the attitude delay; a flight uses the smaller of it and the delay that the gains bear."""
-        self._gains_forced = False
-        """True if somebody insisted on gains that bear less."""
-        self._law_changed = False
-        self._hover_thrust_set = False
         self._ended_at = -math.inf
 
     @property
@@ -190,35 +178,29 @@ class OffboardEngagement:
             # checks
             await self._mode_of_its_own()
             await self._handed_over()
-            self._check_entry(started)
-            if not force and not self.controller.active:
-                self._check_links()
-            if control_mode in (ControlMode.ATTITUDE, ControlMode.RAW):
-                await self._check_attitude(force=force)
-            elif not self.controller.active:
-                await self._orders.attempt_in_control(
-                    lambda now: offboard_entry.ask_loss_parameters(self._vehicle, now)
-                )
+            back_to = offboard_entry.settled_mode(self._vehicle)  # what is switched from here on is switched by others
+            active = self.controller.active
+            self._conditions.check(started, active=active)
+            if not force and not active:
+                self._conditions.check_radio()
+            await self._conditions.check_parameters(control_mode, active=active, force=force)
             self._warn_of_loss()
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
+            self._require_mode(back_to)
             # this order is the newest from here on
             if self.controller.state is OffboardState.ENGAGING:
                 self.release(SUPERSEDED)
             turn = self._next_turn()
             if self.controller.state is OffboardState.FLYING:
-                law = self.controller.config.law
-                hover_thrust = self._config_now().law.hover_thrust  # position and velocity were begun without it
-                if hover_thrust != law.hover_thrust:
-                    self.controller.change_law(replace(law, hover_thrust=hover_thrust))
+                self._tuning.renew_hover_thrust()
                 self._check_gains(control_mode, force=force)
                 return await self._change(control_mode, turn)
             # faster position, then the stream
-            back_to = offboard_entry.settled_mode(self._vehicle)
             await self._streams.raise_position_rate(control_mode)
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
-            self._check_entry(self._loop.time())  # what was true before the wait may have changed
+            self._check_entry_again()
             self._begin(control_mode, force=force)
             self._streams.request_aids(control_mode)
         except RefusedError as error:
@@ -364,27 +346,9 @@ class OffboardEngagement:
         return f"it is flown in raw, {how}; `skygcs-cli control set {name} position` first"
 
     async def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
-        """Part of xy, z and hover_thrust; checked as the fleet file's are, and, unless ``force``, against the delay
-        with which attitude control may fly."""
-        law = self.controller.config.law
-        try:
-            new = replace(
-                law,
-                xy=replace(law.xy, **changes.get("xy", {})),
-                z=replace(law.z, **changes.get("z", {})),
-                hover_thrust=changes.get("hover_thrust", law.hover_thrust),
-            )
-        except ConfigError as error:
-            return Outcome.refused("; ".join(error.problems))
-        why = why_not_delay(new, self.controller.config.guard.attitude_delay_s)
-        if why is not None and not force:
-            return Outcome.refused(f"{why}; insist with force (--force)")
-        self._gains_forced = why is not None
-        self.controller.change_law(new)
-        self._limit_delay()
-        self._law_changed = True
-        self._hover_thrust_set |= "hover_thrust" in changes
-        return Outcome(True, "accepted", "gains changed")
+        """Part of xy, z and hover_thrust; see `ControlTuning.change`."""
+        refusal = self._tuning.change(changes, force=force)
+        return Outcome(True, "accepted", "gains changed") if refusal is None else Outcome.refused(refusal)
 
     def gains(self) -> dict[str, Any]:
         """The law's gains and limits, as control.gains shows them."""
@@ -427,25 +391,8 @@ class OffboardEngagement:
         self._tasks.start(raised, "position rate on another link")
 
     def refresh_budget(self) -> None:
-        """Update how many attitude setpoints a second the link can carry, and whether pings five times a second beside
-        them, which come out of the same share."""
-        controller, frame_bytes = self.controller, FRAME_BYTES["SET_ATTITUDE_TARGET"]
-        bytes_per_s = self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown)
-        left = bytes_per_s - PING_BYTES / FAST_PERIOD_S
-        controller.fast_pings = left >= controller.config.rate_min_hz * frame_bytes
-        controller.attitude_hz_allowed = (left if controller.fast_pings else bytes_per_s) / frame_bytes
-        self._limit_delay()
-
-    def _limit_delay(self) -> None:
-        """Have attitude flown with no more delay than the gains bear, on the vehicle's own hover thrust and at the rate
-        that the link leaves. Raw flight has a controller of its own."""
-        law_counts = not self._gains_forced and self.controller.wanted is not ControlMode.RAW
-        bears_s = _bearable_delay_s(self._law_in_use()) if law_counts else None
-        limit_s = self._attitude_delay_s if bears_s is None else min(self._attitude_delay_s, bears_s)
-        self.controller.limit_attitude_delay(max(limit_s, SHORTEST_DELAY_S))
-
-    def _law_in_use(self) -> ControlConfig:
-        return replace(self.controller.config.law, period_s=1.0 / self.controller.attitude_hz)
+        """Fly as many attitude setpoints a second as the link can carry now; see `ControlTuning.share_link`."""
+        self._tuning.share_link(self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown))
 
     def status(self, now: float) -> dict[str, Any]:
         """The ``control`` part of the vehicle's state, still in the controller's local frame."""
@@ -460,41 +407,27 @@ class OffboardEngagement:
         """Wait until a vehicle that is being given back, held or asked for its own rates has been."""
         await self._tasks.settled()
 
-    def close(self) -> None:
+    def close(self, reason: str) -> None:
         """End control and all that belongs to it."""
-        self.release("skygcs is shutting down")
+        self.release(reason)
         self._tasks.close()
 
     # -- checks before entry
 
-    def _check_entry(self, now: float) -> None:
-        """Raises RefusedError if it must not be flown by setpoints now."""
-        refusal = self._services.links.authority_refusal(self._vehicle.sysid)
-        refusal = refusal or offboard_entry.entry_refusal(self._vehicle, now)
-        if refusal is None and self._vehicle.origin is None:
-            refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
-        if refusal is None and not self.controller.active and self._led_by_another():
-            refusal = f"it is in {self._vehicle.mode} already: another program sends it setpoints; end that first"
-        if refusal is None:
-            refusal = self._outside_now()
-        if refusal is not None:
-            raise RefusedError(refusal)
+    def _check_entry_again(self) -> None:
+        """Raises RefusedError if what was true before a wait has changed."""
+        self._conditions.check(self._loop.time(), active=self.controller.active)
 
-    def _check_links(self) -> None:
-        """Raises RefusedError where its radio cannot carry a stream of setpoints."""
-        refusal = self._services.links.stream_refusal(self._vehicle, self._services.flown)
-        if refusal is not None:
-            raise RefusedError(refusal)
-
-    def _led_by_another(self) -> bool:
-        """PX4 is in OFFBOARD only while setpoints come, and obeys each of two streams in turn. GUIDED shows nothing."""
-        return self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
+    def _require_mode(self, back_to: int) -> None:
+        """Raises RefusedError if its pilot, or another program, has switched it from this mode."""
+        if offboard_entry.settled_mode(self._vehicle) != back_to and not offboard_entry.is_following(self._vehicle):
+            raise RefusedError(f"another program switched it to {self._vehicle.mode} meanwhile")
 
     async def _mode_of_its_own(self) -> None:
         """Wait while a PX4 may still show the OFFBOARD in which it followed our own setpoints."""
         left_s = self._ended_at + OURS_S - self._loop.time()
         if left_s > 0.0 and not self.controller.active:
-            await self._commands.until(lambda: not self._led_by_another(), left_s)
+            await self._commands.until(lambda: not self._conditions.led_by_another, left_s)
 
     async def _handed_over(self) -> None:
         """Wait until the order that takes over has taken effect, or has failed; one that takes longer is replaced."""
@@ -503,47 +436,15 @@ class OffboardEngagement:
         if not await self._commands.until(lambda: self.successor is None, HAND_OVER_S) and self.successor is not None:
             self.release(SUPERSEDED)
 
-    def _outside_now(self) -> str | None:
-        origin, position = self._vehicle.origin, self._vehicle.telemetry("position")
-        if origin is None or position is None or position["lat_deg"] is None:
-            return None
-        fence = self._settings.fence_at(origin)
-        return fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-
-    async def _check_attitude(self, *, force: bool) -> None:
-        """Raises RefusedError where the thrust scale is unknown, or where losing the setpoints would be dangerous."""
-        await self._orders.attempt_in_control(lambda now: offboard_entry.ask_parameters(self._vehicle, now))
-        refusal = offboard_entry.attitude_refusal(self._vehicle)
-        if refusal is None and not force:
-            refusal = offboard_entry.loss_refusal(self._vehicle)
-        if refusal is not None:
-            raise RefusedError(refusal)
-
     def _warn_of_loss(self) -> None:
         """Say what the vehicle does if this computer dies, where that is dangerous."""
         if (note := offboard_entry.loss_note(self._vehicle, self._loop.time())) is not None:
             self._publish("warning", note, {})
 
     def _check_gains(self, control_mode: ControlMode, *, force: bool) -> None:
-        """Raises RefusedError if the gains bear less delay than any link has. Where it is less than the limit that is
-        set, attitude is flown up to what they bear, and a warning says so."""
-        if control_mode is not ControlMode.ATTITUDE or self._gains_forced:
-            return
-        law, wanted_s = self._law_in_use(), self._attitude_delay_s
-        bears_s = _bearable_delay_s(law)
-        if bears_s is None or bears_s >= wanted_s:
-            return
-        least_s = min(LEAST_DELAY_S, wanted_s)
-        if bears_s < least_s and not force:
-            raise RefusedError(f"{why_not_delay(law, least_s)}; or {orders.FORCE_HINT}")
-        self._gains_forced = bears_s < least_s
-        self._limit_delay()
-        if not self._gains_forced:
-            text = (
-                f"attitude is flown with up to {bears_s:g} s of delay instead of {wanted_s:g} s: the gains bear no "
-                f"more at its hover thrust of {law.hover_thrust:.3g} and {1 / law.period_s:.3g} setpoints a second"
-            )
-            self._publish("warning", text, {})
+        """Raises RefusedError if the gains bear too little delay; see `ControlTuning.check`."""
+        if (warning := self._tuning.check(control_mode, force=force)) is not None:
+            self._publish("warning", warning, {})
 
     # -- entry, and change of the control mode
 
@@ -554,7 +455,7 @@ class OffboardEngagement:
     def _begin(self, control_mode: ControlMode, *, force: bool) -> None:
         """Start the stream of setpoints. Raises RefusedError if the vehicle's own hover thrust cannot be right, or the
         gains do not bear the delay with it."""
-        self.controller.config = self._config_now()
+        self._tuning.begin()
         self.refresh_budget()
         self._check_gains(control_mode, force=force)
         # what it is entered with, the controller, its clock and its trace
@@ -562,43 +463,24 @@ class OffboardEngagement:
         assert origin is not None
         locks, flown = self._services.locks, (self._vehicle, self._settings)
         self.lock = lock = locks.make(Holder.ENGAGEMENT, "", origin, [flown])
-        self.controller.engage(control_mode, _shared(lock.members[0].fence))
+        self.controller.engage(control_mode, first_equal(lock.members[0].fence))
         locks.take(lock, lambda: self.controller.active and self.lock is lock)
-        self._limit_delay()
+        self._tuning.limit_delay()
         if self._vehicle.family == "ardupilot" and self._vehicle.telemetry("ekf_origin") is None:
             self._streams.request_estimator_origin()
         self.clock.start()
         self._trace.begin()
         self.on_begin()
 
-    def _config_now(self) -> OffboardConfig:
-        """The control law with gains that were changed before, and the vehicle's own hover thrust unless one is set.
-        Raises RefusedError if that cannot be right."""
-        hover_thrust = offboard_entry.reported_hover_thrust(self._vehicle)
-        try:
-            config = offboard_config(self._settings, hover_thrust)
-            if self._law_changed:
-                law = self.controller.config.law
-                if not self._hover_thrust_set:  # only other gains were changed: the vehicle's own value still holds
-                    law = replace(law, hover_thrust=config.law.hover_thrust)
-                config = replace(config, law=law)
-        except ConfigError as error:
-            why = "; ".join(error.problems)
-            raise RefusedError(
-                f"it says its hover thrust is {hover_thrust:g}, and {why}; give hover_thrust in the fleet file"
-            ) from None
-        return config
-
     async def _enter(self, control_mode: ControlMode, turn: int, back_to: int) -> Outcome:
         """Stream, measure, change the vehicle's mode and verify it."""
         if (ended := await self._settle(control_mode, turn, STREAM_BEFORE_S)) is not None:
             return ended
         try:
-            self._check_entry(self._loop.time())  # seconds have passed: it may have landed, or be in its failsafe
+            self._check_entry_again()  # seconds have passed: it may have landed, or be in its failsafe
+            self._require_mode(back_to)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        if offboard_entry.settled_mode(self._vehicle) != back_to and not offboard_entry.is_following(self._vehicle):
-            return Outcome.refused(f"another program switched it to {self._vehicle.mode} meanwhile")
         outcome = await self._orders.execute(offboard_entry.enter(self._vehicle))
         if self._turn != turn:
             return _superseded(0.0)
@@ -619,7 +501,7 @@ class OffboardEngagement:
             if (ended := await self._settle(control_mode, turn, PAUSE_S)) is not None:
                 return ended
             self.controller.want(control_mode)
-        self._limit_delay()
+        self._tuning.limit_delay()
         return await self._first_verdict(control_mode)
 
     async def _settle(self, control_mode: ControlMode, turn: int, least_s: float) -> Outcome | None:
@@ -661,7 +543,7 @@ class OffboardEngagement:
         another program flies it."""
         if self.controller.active or not self.controller.was_entered:
             self.release(reason)
-            self._tasks.start(self._give_back(back_to, self._turn), "control given back")
+            self._tasks.start(self._give_back(back_to, self._turn), "control given back", OWN)
 
     async def _give_back(self, back_to: int, turn: int) -> None:
         """Switch back a vehicle that follows setpoints, or is about to because its mode was commanded already: it gets
@@ -712,9 +594,9 @@ class OffboardEngagement:
         for event in tick.events:
             self._on_event(event)
         if tick.hold:
-            self._tasks.start(self._hold(self._turn), "hold")
+            self._tasks.start(self._hold(self._turn), "hold", OWN)
         elif tick.left:
-            self._tasks.start(self._hold_if_it_follows(self._turn), "hold if it follows")
+            self._tasks.start(self._hold_if_it_follows(self._turn), "hold if it follows", OWN)
 
     async def _hold_if_it_follows(self, turn: int) -> None:
         """It showed another mode, and control ended. If it is in the mode of setpoints after all, it flies by the last
@@ -762,42 +644,3 @@ class OffboardEngagement:
 
 def _superseded(elapsed_s: float) -> Outcome:
     return Outcome(False, "cancelled", SUPERSEDED, elapsed_s=elapsed_s)
-
-
-def offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
-    """How to fly by these settings; ``hover_thrust``: what the autopilot reports. Raises ConfigError."""
-    config = OffboardConfig(settings.law(hover_thrust), settings.guard(), raw=settings.raw_limits())
-    rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
-    others = {"rate_min_hz": settings.rate_min_hz, "velocity_predictor": settings.velocity_predictor}
-    given: dict[str, Any] = {k: v for k, v in {**rates, **others}.items() if v is not None}
-    shared: OffboardConfig = _shared(replace(config, **given))
-    return shared
-
-
-def law_json(law: ControlConfig) -> dict[str, Any]:
-    """Gains and limits, as control.gains shows them."""
-    return {
-        "xy": asdict(law.xy),
-        "z": asdict(law.z),
-        "hover_thrust": law.hover_thrust,
-        "limits": {
-            "thrust_min": law.thrust_min,
-            "thrust_max": law.thrust_max,
-            "tilt_max_deg": round(math.degrees(law.tilt_max_rad), 2),
-            "vel_xy_max_mps": law.vel_xy_max_mps,
-            "vel_z_max_mps": law.vel_z_max_mps,
-            **({} if law.acc_xy_max_mps2 is None else {"acc_xy_max_mps2": law.acc_xy_max_mps2}),
-            **({} if law.acc_z_max_mps2 is None else {"acc_z_max_mps2": law.acc_z_max_mps2}),
-        },
-    }
-
-
-@lru_cache(maxsize=256)
-def _shared(value: Hashable) -> Any:
-    """The first of several equal values: with a hundred vehicles it is then still in the CPU's caches when the next one
-    ticks (measured there: 4 % of a tick)."""
-    return value
-
-
-_bearable_delay_s = lru_cache(maxsize=256)(bearable_delay_s)
-"""0.2 ms, asked for every second by each vehicle under control."""

@@ -66,7 +66,8 @@ class OperatorWatchdog:
             self._act(fired, sorted(flown))
 
     def slept(self, seconds: float) -> None:
-        """The computer slept for so long."""
+        """The computer slept for so long, or this process stood still (0 s): orders of before end."""
+        self._tasks.close()
         self._dead_man.slept(seconds)
 
     def close(self) -> None:

@@ -9,21 +9,28 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine
+from collections import Counter
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
-from skygcs.core.vehicle.autopilot import firmware_name
+from skygcs.core.vehicle.autopilot import arms, firmware_name
+from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
 from skygcs.core.vehicle.order_plan import VERIFY_S, GoesThere, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
+from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.events import Event
-from skygcs.runtime.command_client import LATE_ACK_S, SUPERSEDED, CommandClient
+from skygcs.runtime.command_client import EVERYWHERE, LATE_ACK_S, SUPERSEDED, CommandClient, Moves
+from skygcs.runtime.flight_elsewhere import FlownBySetpoints
+from skygcs.runtime.task_set import ORDER_SERIAL, OWN, Asked, ask, numbered
 
 MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
@@ -66,33 +73,19 @@ Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
 """Plans and executes."""
 
 
-class FlownBySetpoints(Protocol):
-    """Flight by setpoints, which a newer order takes over: it holds the vehicle until that order has taken effect."""
-
-    def hand_over(self, reason: str) -> None:
-        """A newer order is about to be sent."""
-        ...
-
-    def taken_over(self) -> None:
-        """The order has taken effect: send nothing more. Idempotent."""
-        ...
-
-    def keep(self, why: str) -> None:
-        """The order did not take effect: go on holding. Idempotent."""
-        ...
-
-
 class _PlanInProgress:
     """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
 
-    __slots__ = ("clearance", "end_requested", "number", "plan", "queue", "step")
+    __slots__ = ("clearance", "end_requested", "number", "plan", "queue", "step", "were_in")
 
-    def __init__(self, plan: Plan, number: int, clearance: Clearance) -> None:
+    def __init__(self, plan: Plan, number: int, clearance: Clearance, were_in: Hands) -> None:
         self.plan = plan
         self.clearance = clearance
         """The outgoing gate's leave for what it sends."""
         self.number = number
         """Value of `OrderRunner.number` at its start; if that has changed, a newer order moves the vehicle."""
+        self.were_in = were_in
+        """Whose hands the vehicle was in when the plan began: a pilot that takes it later keeps it."""
         self.queue = list(plan.steps)
         self.step: Step | None = None
         self.end_requested = False
@@ -119,13 +112,18 @@ class OrderRunner:
         above those of all runners of this vehicle before, so that a number of one of those names no order here."""
         # state that others read, and callbacks
         self.number = self._first_number = first_number
+        self.effective_serial = OWN
+        """Latest serial of the orders that move the vehicle, or may: as `effective`."""
+        self.effective_order = ""
+        """Name of the order ``effective``."""
+        self._in_flight: dict[int, int] = {}
+        """Plans in progress that move the vehicle: their serials by number."""
+        self._under_way: Counter[str] = Counter()
         self.flown_by: FlownBySetpoints | None = None
         """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
         self.on_carried_out: Callable[[Plan], None] = lambda plan: None
         """Called with each plan that moves the vehicle and that it has accepted. A change to the mode that it was in
         already is none."""
-        self.moving = 0
-        """Plans in progress that move the vehicle."""
         self.effective = first_number
         """``number`` of the last plan that moves the vehicle, or may: it was sent, and not refused by the vehicle."""
         self.sent_before_at = -math.inf
@@ -160,10 +158,81 @@ class OrderRunner:
         moves = order in MOVING
         self._waiting += moves
         try:
-            return await self.track(order, self._tries(order, planner, wait_s))
+            return await self.track(order, numbered(self._tries(order, planner, wait_s)))
         finally:
             self._waiting -= moves
             self._order_ended.set()
+
+    def asked(self, serial: int | None = None) -> Asked:
+        """Note that an order is asked for which does not go out at once. ``serial``: None: that of the present task,
+        or, in an order of the daemon's own, that of the last order so far."""
+        vehicle = self._vehicle
+        changing = self.moving > 0 or reports_takeoff(vehicle, self._loop.time())
+        serial = (ORDER_SERIAL.get() or self.effective_serial) if serial is None else serial
+        return Asked(serial, None if changing else vehicle.custom_mode, self.number)
+
+    def overtaken(self, asked: Asked, *, by_mode: bool = True) -> str | None:
+        """Why an order that has waited since ``asked`` must not be sent any more; None: it may be. An order that was
+        asked for later moves the vehicle, or may, or, with ``by_mode``, the mode has changed. Neither orders of the
+        daemon's own count, nor those that the vehicle has refused."""
+        switched = self._switched(asked) if by_mode else None
+        if self.effective_serial > asked.serial or (switched is not None and self.is_behind(asked.serial)):
+            return SUPERSEDED
+        return switched
+
+    def taken_by_pilot(self, asked: Asked) -> str | None:
+        """Why what changes the mode must not be sent any more: the mode was switched since ``asked``, and neither by an
+        order of ours nor by a failsafe of the vehicle. None: it may be."""
+        ours = self.number != asked.number or self._vehicle.failsafe
+        return None if ours else self._switched(asked)
+
+    def _hands(self) -> Hands:
+        return hands(self._vehicle, self._loop.time())
+
+    def _taken(self, plan: Plan, before: Hands) -> str | None:
+        """Why a plan is left to the pilot of a vehicle that was in the hands ``before`` when it began; None: it is
+        sent. One that ends the flight always is."""
+        if self._vehicle.mode in plan.spares:
+            return f"it is in {self._vehicle.mode}"
+        if plan.order not in MOVING or plan.order in EVERYWHERE or plan.emergency or plan.final:
+            return None
+        return taken_since(self._vehicle, self._loop.time(), before)
+
+    def _switched(self, asked: Asked) -> str | None:
+        if asked.custom_mode is None or self._vehicle.custom_mode == asked.custom_mode:
+            return None
+        return f"it was switched to {self._vehicle.mode} while this order waited"
+
+    @property
+    def moving(self) -> int:
+        """Plans in progress that move the vehicle."""
+        return len(self._in_flight)
+
+    @property
+    def sends(self) -> str:
+        """Name of the newest order that moves the vehicle, while it is being sent; empty: none is."""
+        return self._newest.order if self._newest is not None and self.number in self._in_flight else ""
+
+    def is_behind(self, serial: int) -> bool:
+        """True if an order that was asked for later moves the vehicle, or is about to."""
+        return max(self.effective_serial, *self._in_flight.values(), OWN) > serial
+
+    async def late(self, order: str = "goto") -> str | None:
+        """Why an order of the present task, which moves the vehicle, must not be sent: one that was asked for later
+        moves it, or may. None: it may be. The end of a later one that is in progress is awaited, as the vehicle may
+        refuse that."""
+        serial = ORDER_SERIAL.get()
+        if not serial or order not in MOVING or order == "stop":
+            return None
+        while self.is_behind(serial) and self.effective_serial <= serial:
+            self._order_ended.clear()
+            await self._order_ended.wait()
+        return SUPERSEDED if self.effective_serial > serial else None
+
+    def note_effect(self) -> None:
+        """The order of the present task moves the vehicle without a plan: under control by setpoints."""
+        serial = ORDER_SERIAL.get()
+        self.effective_serial = max(self.effective_serial, ask() if serial is None else serial)
 
     async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
         """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
@@ -183,13 +252,21 @@ class OrderRunner:
     async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
         """Run the work of an order and report its outcome; if it is cancelled, that is its outcome."""
         started = self._loop.time()
+        self._under_way[order] += 1
         try:
             outcome = await work
         except asyncio.CancelledError:
             text = "cancelled: the client that gave it is gone; what was sent already cannot be undone"
             self.finish(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
             raise
+        finally:
+            self._under_way[order] -= 1
         return self.finish(order, outcome)
+
+    def cut_stops(self, why: str) -> None:
+        """Report each stop that is under way as lost, which is an alarm: it will not be repeated any more."""
+        for _ in range(self._under_way["stop"]):
+            self.finish("stop", Outcome(False, "lost", f"{why}: the stop was not confirmed, order it again"))
 
     def finish(self, order: str, outcome: Outcome) -> Outcome:
         """Report the outcome of an order that has ended."""
@@ -206,9 +283,18 @@ class OrderRunner:
 
     async def attempt(self, planner: Planner, *, reason: str | None = None) -> Outcome:
         """Plan and execute once, without a report. An order that moves the vehicle takes over from its flight by
-        setpoints, which ends for this ``reason`` (None: the order's name) once the order has taken effect."""
+        setpoints, which ends for this ``reason`` (None: the order's name) once the order has taken effect. This is the
+        gate of orders: each has a serial from here on, and one that comes too late is refused."""
+        return await numbered(self._attempt(planner, reason))
+
+    async def _attempt(self, planner: Planner, reason: str | None) -> Outcome:
+        before = self._hands()
         try:
             plan = planner(self._loop.time())
+            if not plan.emergency and self.is_behind(ORDER_SERIAL.get() or OWN):
+                if (why := await self.late(plan.order) or self._taken(plan, before)) is not None:
+                    return Outcome.refused(why)
+                plan = planner(self._loop.time())
         except NotReadyError as error:
             return Outcome(False, "temporarily_rejected", f"not ready: {error}")
         except RefusedError as error:
@@ -248,6 +334,9 @@ class OrderRunner:
 
     async def attempt_in_control(self, planner: Planner) -> Outcome:
         """An attempt by flight control itself, which does not end control."""
+        return await numbered(self._attempt_in_control(planner), lambda: OWN)
+
+    async def _attempt_in_control(self, planner: Planner) -> Outcome:
         try:
             plan = planner(self._loop.time())
         except RefusedError as error:
@@ -272,14 +361,16 @@ class OrderRunner:
         self._newest = plan
         self._commands.supersede(_commands(plan))
         number, mode = self.number, self._vehicle.custom_mode
-        self.moving += 1
+        serial = self._in_flight[number] = ORDER_SERIAL.get() or OWN
         ended: Outcome | None = None
         try:
             ended = await self._execute(plan, clearance)
         finally:
-            self.moving -= 1
+            del self._in_flight[number]
             if _may_have_effect(ended):
-                self.effective = max(self.effective, number)
+                if number > self.effective:
+                    self.effective, self.effective_order = number, plan.order
+                self.effective_serial = max(self.effective_serial, serial)
             self._order_ended.set()
         outcome = replace(ended, order_number=number)
         if outcome.ok and self.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
@@ -299,7 +390,7 @@ class OrderRunner:
         return None
 
     async def _execute(self, plan: Plan, clearance: Clearance) -> Outcome:
-        run = _PlanInProgress(plan, self.number, clearance)
+        run = _PlanInProgress(plan, self.number, clearance, self._hands())
         if all(step.undo is None for step in plan.steps[:-1]):
             return await self._steps(run)
         if self._ending:
@@ -384,7 +475,8 @@ class OrderRunner:
             if queue and number != self.number:
                 text = f"a newer order took its place after {step.name!r}"
                 return Outcome(False, "cancelled", text, attempts, self._loop.time() - started, tuple(texts))
-        return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
+        newer = f"; {SUPERSEDED} since" if plan.order in MOVING and number != self.number else ""
+        return Outcome(True, "accepted", plan.done + newer, attempts, self._loop.time() - started, tuple(texts))
 
     def _took_effect(self, step: Step, run: _PlanInProgress) -> None:
         """A step has succeeded. One that changes the mode, and the last one, take the vehicle over from its flight by
@@ -431,6 +523,8 @@ class OrderRunner:
             return duplicate_refusal(self._vehicle)
         if (why := self._order_refusal(plan)) is not None:
             return Outcome.refused(why)
+        if (why := self._taken(plan, run.were_in)) is not None:
+            return Outcome.refused(why)
         if step.message is not None:
             return await self._message_step(step, run)
         # the command, with what a late step knows only now
@@ -444,15 +538,18 @@ class OrderRunner:
         def wanted() -> bool:
             return self.number == number or (self._newest is not None and spec in _commands(self._newest))
 
-        outcome = await self._commands.run(
-            spec,
-            emergency=plan.emergency,
-            satisfied=met,
-            on_report=lambda percent: self.report_progress(plan.order, percent),
-            wanted=wanted if plan.order in MOVING and not plan.final else None,
-            with_repeats=step.with_repeats,
-            clearance=run.clearance,
-        )
+        moves = Moves(wanted, lambda: self._taken(plan, run.were_in))
+        with self._arming(spec) as answered:
+            outcome = await self._commands.run(
+                spec,
+                emergency=plan.emergency,
+                satisfied=met,
+                on_report=lambda percent: self.report_progress(plan.order, percent),
+                moves=moves if plan.order in MOVING and not plan.final else None,
+                with_repeats=step.with_repeats,
+                clearance=run.clearance,
+            )
+            answered(outcome)
         # acknowledged: wait until the state shows it
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome
@@ -460,6 +557,22 @@ class OrderRunner:
             return outcome
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
+
+    @contextmanager
+    def _arming(self, spec: CommandSpec) -> Iterator[Callable[[Outcome], None]]:
+        """While the command is sent, and until heartbeats have followed, the vehicle counts as one that may be armed,
+        if the command arms. The function that it yields gets the outcome; without one the command may have arrived."""
+        outcomes: list[Outcome | None] = [None]
+        if not arms(spec):
+            yield outcomes.append
+            return
+        vehicle = self._vehicle
+        vehicle.arming_at, vehicle.arming_until = self._loop.time(), math.inf
+        try:
+            yield outcomes.append
+        finally:
+            may_be = _may_have_effect(outcomes[-1])
+            vehicle.arming_until = self._loop.time() + RECENTLY_ARMED_S if may_be else -math.inf
 
     async def _proved(
         self, step: Step, proof: TargetProof, plan: Plan, run: _PlanInProgress, accepted: Outcome
@@ -501,7 +614,7 @@ class OrderRunner:
         def met() -> bool:
             return there.met(self._vehicle, self._loop.time())
 
-        await self._commands.run(request, satisfied=met, wanted=lambda: not newer())
+        await self._commands.run(request, satisfied=met, moves=Moves(lambda: not newer()))
         return await self._commands.until(lambda: met() or newer(), PROOF_S)
 
     async def _message_step(self, step: Step, run: _PlanInProgress) -> Outcome:
@@ -518,6 +631,8 @@ class OrderRunner:
 
         while True:
             # send
+            if (why := self._taken(run.plan, run.were_in)) is not None:
+                return Outcome.refused(why)
             if not self._commands.transmit(name, values, clearance=run.clearance):
                 return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
             attempts += 1
@@ -569,11 +684,11 @@ class OrderRunner:
             clearance = clear_undo(model_of(self._vehicle, self._loop.time()), run.plan.order, undo)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return await self._step(undo, run.plan, _PlanInProgress(run.plan, run.number, clearance))
+        return await self._step(undo, run.plan, _PlanInProgress(run.plan, run.number, clearance, self._hands()))
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """The attempts of `retry`."""
-        started = self._loop.time()
+        started, were_in = self._loop.time(), self._hands()
         attempts = 0
         while True:
             tried_at, before = self._loop.time(), self.number
@@ -594,6 +709,8 @@ class OrderRunner:
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
+            if order in MOVING and (why := taken_since(self._vehicle, self._loop.time(), were_in)) is not None:
+                return replace(outcome, result="refused", message=f"refused: {why}")
 
     def _is_ambiguous(self, plan: Plan) -> bool:
         """True if two vehicles have the system id and the plan is not one that both may take."""

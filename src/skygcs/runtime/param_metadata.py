@@ -9,7 +9,6 @@ starts, and nothing of a table is kept in memory.
 from __future__ import annotations
 
 import asyncio
-import lzma
 import zlib
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
@@ -183,6 +182,8 @@ class VehicleMetadata:
 def unpacked(data: bytes) -> Any:
     """The JSON document of a file that may be compressed by xz. Raises NoMetadataError; bounded in memory."""
     if data.startswith(XZ_MAGIC):
+        import lzma  # 0.4 MB of memory, for a file that few vehicles have
+
         decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MAX_DECODER_BYTES)
         try:
             data = decoder.decompress(data, MAX_JSON_BYTES)
@@ -193,7 +194,7 @@ def unpacked(data: bytes) -> Any:
     try:
         return from_json(data)
     except ValueError as error:
-        raise NoMetadataError(f"it is no JSON: {error}") from None
+        raise NoMetadataError(f"it is not JSON: {error}") from None
 
 
 def _table_of(packed: bytes, firmware: str) -> bytes:

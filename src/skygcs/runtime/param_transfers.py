@@ -165,7 +165,8 @@ class VehicleParams:
         self._loading: asyncio.Task[Loaded] | None = None
         # callers, cancellation and timer
         self._waiting = 0
-        self._closed = False
+        self._closed = ""
+        """Why it was closed."""
         self._cancelled = 0
         self._reported_at = -math.inf
         self._timer = DeadlineTimer(services.loop, self._on_timer)
@@ -242,11 +243,11 @@ class VehicleParams:
         if self._loading is not None:
             self._loading.cancel()
 
-    def close(self) -> None:
-        """The daemon ends, or the vehicle is forgotten."""
-        self._closed = True
+    def close(self, reason: str) -> None:
+        """The daemon ends, or the vehicle is dropped: end all transfers for this reason."""
+        self._closed = reason
         self._book.save()
-        self.stop_all("cancelled", "skygcs is shutting down")
+        self.stop_all("cancelled", reason)
         if self._loading is not None:
             self._loading.cancel()
         self._timer.set(None)
@@ -401,7 +402,7 @@ class VehicleParams:
     def _refusal(self) -> tuple[str, str] | None:
         """Why no request is sent to it now: the result word and the text of the outcome."""
         if self._closed:
-            return "cancelled", "cancelled: skygcs is shutting down"
+            return "cancelled", f"cancelled: {self._closed}"
         if not self._able:
             return "refused", f"refused: dialect {self._dialect.name} has no parameter messages"
         if self._vehicle.replayed:

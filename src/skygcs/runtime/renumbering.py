@@ -145,7 +145,7 @@ class Renumbering:
             if actor.vehicle.gcs_sysid == sysid:
                 return f"{actor.name} expects its ground station under it"
         since = self._loop.time() - HEARD_S
-        routes = any(at > since for source, _, _, at in self._hub.router.routes() if source == sysid)
+        routes = any(at > since for source, _, _, at in self._hub.router.table.routes() if source == sysid)
         if routes or any(c.component.heard_at() > since for c in self._fleet.components.of_system(sysid)):
             return "a system with that id is heard (skygcs-cli components)"
         return None

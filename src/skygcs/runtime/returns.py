@@ -1,27 +1,51 @@
 """Brings several vehicles home that were ordered to return together: those whose ways conflict leave one after another.
 
 Who leaves, climbs or waits is decided by `core.monitor.departures`; here the decision meets orders, telemetry and time.
-Those that wait hold. One that another order, its pilot or its own failsafe has taken is left to them, and its way is
-kept free. The order to a single vehicle does not pass here.
+The order to a single vehicle does not pass here. One that has to return is, of `Step`:
+
+    step     what it does                            next
+    ------   -------------------------------------   -------------------------------------------------------------
+    HOLDS    its hold is being sent                  WAITS; LEAVES, if it cannot hold
+    WAITS    holds, until its way home is clear      CLIMBS, LEAVES; given up: goes on holding, or lands (``at_end``)
+    CLIMBS   is being sent up, where it stands       WAITS
+    LEAVES   its return is being sent; the others    on its way; WAITS, if it did not take that and has waited
+             stay clear of its way, not its place    before
+
+It is left to whatever else has taken it, in WAITS and before each order, and its way or its place is kept free:
+
+    another order that went out, not refused by it   taken; meanwhile nothing is ordered
+    another order that it refused                    goes on; so it does after a hold of the daemon's own, after a pause
+    its own return or landing, as by its failsafe    taken
+    another mode, by its pilot or another station    taken
+    it is down, or was forgotten                     taken
+    it is not heard                                  nothing is ordered until it is, or it is given up
+    another order to return                          waits or leaves by that one; if that one fails, as before
+    the daemon ends, or stood still                  goes on holding
+
+The space of one that is not heard grows (`Footprint.ball_m`). Whatever ends a wait is an event of order "rtl", with its
+reason.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from typing import Literal
 
 from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.mavlink.vehicle_class import HeightParam
+from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departing
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.monitor.ways import Way
-from skygcs.core.monitor.yielding import COMING_HOME
+from skygcs.core.monitor.ways import Way, column, too_near
+from skygcs.core.monitor.yielding import COMING_HOME, LANDING
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.separation import Footprint
+from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, HomeWatch
+from skygcs.core.vehicle.orders import Where, goto
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
@@ -34,32 +58,70 @@ STUCK_S = 45.0
 """While none of them has moved by `MOVED_M` or landed for so long, those that wait are given up. ArduCopter waits for
 RTL_LOIT_TIME above its home, 5 s by default, and a landing moves all the while."""
 
+OTHERS_S = 300.0
+"""Those that wait hover meanwhile: a fifth of what a small copter's battery holds, half of what it has left then."""
+
 MOVED_M = 1.0
 
 AGAIN_S = 5.0
 """After an order to one that waits which it did not take."""
 
+HELD_S = 10.0
+"""After a hold of the daemon's own, as for its distance to another: that other one has passed by then, or is held."""
+
 AtEnd = Literal["hold", "land"]
+
+HOLDS_IN = frozenset({"AUTO.LOITER", "GUIDED", "BRAKE"})
+"""Modes of a PX4 and of an ArduCopter in which an order to hold leaves it."""
+
+LANDS = frozenset({"land", "stop"})
+"""Orders that may bring it down where it is, from the moment they are sent."""
+
+NEWER = "it does not return by this order: a newer order took its place"
 
 TAKES_S = 10.0
 """So long after its order a vehicle counts as on its way home, whatever mode it reports: an order is sent for 7 s."""
 
 
-@dataclass(slots=True)
-class _Waiting:
-    """One that waits. ``order_number``: of the last order that was ours; None: one is on its way."""
+class Step(Enum):
+    """See the table of this module."""
+
+    HOLDS = auto()
+    WAITS = auto()
+    CLIMBS = auto()
+    LEAVES = auto()
+
+
+@dataclass(slots=True, eq=False)
+class Waiting:
+    """One of several that return. ``serial``: of the order to return."""
 
     actor: VehicleActor
+    serial: int
     at_end: AtEnd
     told: tuple[str, ...]
-    order_number: int | None = None
+    step: Step
+    begun: bool = False
+    """The order by which it was decided is being carried out."""
+    over: str = NEWER
+    """Why it does not return by this order, once it is not waited for any more."""
+    has_waited: bool = False
+    """It holds by an order of ours already."""
+    order_number: int = 0
+    """The last order to it that was ours, or that counts for nothing."""
     goal_m: float | None = None
     """Height to which it was sent to climb, in the common frame."""
     retry_at: float = -math.inf
+    custom_mode: int | None = None
+    """The mode that our hold, or our climb, left it in."""
+
+    @property
+    def holds_first(self) -> bool:
+        return self.step is not Step.LEAVES
 
 
 class Returns:
-    """Returns under way of one fleet: `begin`, `wait` and `run` with each order to return to several vehicles."""
+    """Returns under way of one fleet: `begin`, `carry_out` and `run` with each order to return to several vehicles."""
 
     def __init__(
         self, footprint: Callable[[VehicleActor], Footprint], loop: asyncio.AbstractEventLoop, on_event: OnEvent
@@ -69,97 +131,272 @@ class Returns:
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event)
         self._members: dict[int, VehicleActor] = {}
-        """All that were ordered to return together, until none of them waits."""
-        self._waiting: dict[int, _Waiting] = {}
+        """All that were ordered to return while others waited, until none of them is under way."""
+        self._waiting: dict[int, Waiting] = {}
+        self._deciding = asyncio.Lock()
         self._left_at: dict[int, float] = {}
         self._heights: dict[int, ReturnHeight] = {}
+        """Heights that were read in this round, where the vehicle itself keeps none."""
+        self._reading: dict[int, asyncio.Task[None]] = {}
+        self._seen: dict[int, tuple[Returning, float]] = {}
+        """Each member where its place was known last, and when that was."""
+        self._homes: dict[int, HomeWatch] = {}
+        self._staying: set[int] = set()
+        """Members that hold at the end of their return, for good."""
         self._frame: EnuFrame | None = None
-        self._running = False
-        self._moved_at = -math.inf
+        self._running: asyncio.Task[None] | None = None
+        self._moved_at = self._ours_moved_at = -math.inf
         self._places: dict[int, Vector] = {}
         """Where each member was when it last had moved."""
 
-    async def begin(self, actors: Sequence[VehicleActor], *, at_end: AtEnd = "hold") -> dict[VehicleActor, str]:
-        """Decide who of these has to wait; returns whom each of them waits for, in words. The others are to be ordered
-        to return now. ``at_end``: what those do whose way does not become clear."""
+    async def begin(
+        self, actors: Sequence[VehicleActor], serial: int, *, at_end: AtEnd = "hold"
+    ) -> dict[VehicleActor, Waiting]:
+        """Decide who of these has to wait. Those that are returned are to be given to `carry_out` now, and to `run`
+        afterwards; the others are to be ordered to return now. Orders to return are decided in the order in which they
+        came, so that the last one counts. ``at_end``: what those do whose way does not become clear."""
+        async with self._deciding:
+            return await self._begin(actors, serial, at_end)
+
+    async def _begin(self, actors: Sequence[VehicleActor], serial: int, at_end: AtEnd) -> dict[VehicleActor, Waiting]:
         now = self._loop.time()
-        for actor in actors:
-            self._waiting.pop(actor.vehicle.key, None)
+        # a repeated order keeps those that have already left as members
+        first = not self._waiting
         known = [actor for actor in actors if _is_placed(actor.vehicle, now)]
-        if len(known) < 2 and not self._waiting:
+        if len(known) < 2 and first:
+            for actor in known:
+                self.join(actor)
             return {}
-        if not self._waiting:
-            self._members.clear()
-            self._frame = _frame(known[0].vehicle)
-        # who goes home already, or by its own failsafe, is not held
-        free = [a for a in known if a.vehicle.mode not in COMING_HOME and not a.vehicle.failsafe]
+        if first:
+            self._new_round(_frame(known[0].vehicle))
         self._members |= {actor.vehicle.key: actor for actor in known}
+        # who goes home already, or by its own failsafe, is not held
+        free = [actor for actor in known if _goes_by_itself(actor.vehicle) is None and not self._leaves(actor)]
         self._left_at |= dict.fromkeys((a.vehicle.key for a in known if a not in free), now)
         decided = await self._decide(free)
-        self._left_at |= dict.fromkeys(decided.leave, now)
-        for key, names in decided.waits_for.items():
-            self._waiting[key] = _Waiting(self._members[key], at_end, names)
-        return {self._members[key]: _named(names) for key, names in decided.waits_for.items()}
+        # those of an older order to return go on as before if this one fails
+        begun: dict[VehicleActor, Waiting] = {}
+        for actor in free:
+            key = actor.vehicle.key
+            if key not in decided.leave and key not in decided.waits_for:
+                continue
+            step = Step.LEAVES if key in decided.leave else Step.HOLDS
+            waits = Waiting(actor, serial, at_end, decided.waits_for.get(key, ()), step)
+            older = self._waiting.get(key)
+            if older is not None and older.actor is actor and older.has_waited:
+                waits.has_waited, waits.order_number = True, older.order_number
+                waits.goal_m, waits.custom_mode = older.goal_m, older.custom_mode
+            if step is Step.LEAVES:
+                self._left_at[key] = now
+            self._waiting[key] = begun[actor] = waits
+        return begun
 
-    async def wait(self, actor: VehicleActor, names: str) -> Outcome:
-        """The order to return of one that has to wait: it holds. One that cannot hold returns at once."""
-        waits = self._waiting[actor.vehicle.key]
-        outcome = await actor.hold()
-        if self._waiting.get(actor.vehicle.key) is not waits:
-            return outcome
-        if outcome.ok:
-            waits.order_number = actor.order_number
-            text = f"it holds until {names} is out of its way home, and returns then"
-            self._report(actor, text)
-            return replace(outcome, message=text)
-        self._drop(waits)
-        return outcome if outcome.result == "cancelled" else await actor.rtl()
+    def _new_round(self, frame: EnuFrame) -> None:
+        """Nobody waits any more: forget the members, but those that are seen on their way home. One that is lost keeps
+        nobody in the air."""
+        now = self._loop.time()
+        seen = {key: actor for key, actor in self._members.items() if actor.vehicle.connected and not actor.closed}
+        self._members = {key: actor for key, actor in seen.items() if self._is_under_way(actor, now)}
+        self._left_at = {key: at for key, at in self._left_at.items() if key in self._members}
+        for table in (self._homes, self._heights, self._seen):
+            table.clear()
+        self._staying.clear()
+        self._frame = frame
 
-    def run(self) -> None:
-        """Go on with those that wait, if there are any. Idempotent."""
-        if self._waiting and not self._running:
-            self._running = True
-            self._tasks.start(self._bring_home(), "returns one after another")
+    async def carry_out(self, waits: Waiting) -> Outcome:
+        """The order to return of one of those of `begin`: it leaves, or holds until its way is clear. One that cannot
+        hold returns at once."""
+        if not self._is_current(waits):
+            return Outcome(False, "cancelled", waits.over)
+        waits.begun = True
+        try:
+            return await (self._hold_first(waits) if waits.holds_first else self._return_now(waits))
+        finally:
+            if waits.step in (Step.HOLDS, Step.LEAVES):
+                self._put_back(waits)
 
-    def close(self) -> None:
-        """The daemon ends: those that wait go on holding."""
-        for waits in self._waiting.values():
-            self._report(waits.actor, "skygcs ends: it goes on holding and does not return", given_up=True)
-        self._waiting.clear()
+    def run(self, begun: Iterable[Waiting] = ()) -> None:
+        """Go on with those that wait, if there are any; ``begun``: of `begin`, of which each has been carried out that
+        ever will be. Idempotent."""
+        for waits in begun:
+            if not waits.begun:
+                self._put_back(waits)
+        if self._waiting and (self._running is None or self._running.done()):
+            self._running = self._tasks.start(self._bring_home(), "returns one after another")
+
+    def join(self, actor: VehicleActor) -> None:
+        """A single vehicle is ordered to return: those that wait, or are to, keep clear of its way, too."""
+        self._leave_out_gone()
+        if _is_placed(actor.vehicle, self._loop.time()):
+            self._members[actor.vehicle.key] = actor
+            self._left_at[actor.vehicle.key] = self._loop.time()
+
+    def waits(self, key: int) -> bool:
+        """True if the vehicle holds, or climbs, until it is sent home by this round."""
+        waits = self._waiting.get(key)
+        return waits is not None and waits.has_waited
+
+    def end(self, why: str) -> None:
+        """End the returns: those that wait go on holding."""
+        self._let_go(why)
+        self._running = None
         self._tasks.close()
 
-    # -- internal
+    def _let_go(self, why: str) -> None:
+        for waits in self._waiting.values():
+            waits.over = f"cancelled: {why}"
+            text = f"{why}: it goes on holding and does not return"
+            if not waits.begun:
+                text = waits.over
+            elif waits.step is Step.LEAVES:
+                text = f"{why}: whether it takes its order to return is not known"
+            self._report(waits.actor, text, given_up=True)
+        self._waiting.clear()
+
+    def close(self) -> None:
+        """The daemon ends."""
+        self.end("skygcs ends")
+
+    # -- the order of a person
+
+    async def _hold_first(self, waits: Waiting) -> Outcome:
+        actor = waits.actor
+        if (why := _goes_by_itself(actor.vehicle)) is not None:  # it began after the decision, and must not be stopped
+            return self._spared(waits, why)
+        text = f"it holds until {_named(waits.told)} is out of its way home, and returns then"
+        goes_on = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
+        if waits.has_waited and goes_on:  # by the order before
+            waits.step = Step.WAITS
+            actor.runner.note_effect()
+            self._report(actor, text)
+            return Outcome(True, "accepted", text, order_number=waits.order_number)
+        outcome = await actor.hold(spares=COMING_HOME)
+        if not self._is_current(waits):
+            return replace(outcome, ok=False, result="cancelled", message=waits.over) if outcome.ok else outcome
+        if outcome.ok:
+            waits.goal_m = None  # if it was climbing, that has ended
+            self._ordered(waits, outcome)
+            self._report(actor, text)
+            return replace(outcome, message=text)
+        if actor.vehicle.mode in COMING_HOME:
+            return self._spared(waits, f"it is in {actor.vehicle.mode}")
+        if outcome.result == "cancelled" or waits.has_waited:
+            return outcome
+        waits.step, self._left_at[actor.vehicle.key] = Step.LEAVES, self._loop.time()
+        return await self._return_now(waits)
+
+    def _spared(self, waits: Waiting, why: str) -> Outcome:
+        """It goes home by itself since it was decided that it waits."""
+        self._drop(waits, f"it does not wait: {why}")
+        return Outcome(False, "cancelled", f"it is not held to wait for its return: {why}")
+
+    async def _return_now(self, waits: Waiting) -> Outcome:
+        outcome = await waits.actor.rtl()
+        if outcome.ok and self._is_current(waits):
+            self._gone(waits)
+        return outcome
+
+    def _put_back(self, waits: Waiting) -> None:
+        """An order to return was not carried out. One that has waited before goes on waiting; the next look says
+        whether it is left to another order."""
+        if not self._is_current(waits):
+            return
+        if waits.has_waited:
+            waits.step, waits.retry_at = Step.WAITS, self._loop.time() + AGAIN_S
+            self._report(waits.actor, "the newer order to return failed: it goes on waiting as before")
+        else:
+            self._drop(waits, None)
+
+    # -- those that wait
 
     async def _bring_home(self) -> None:
-        reading = self._tasks.start(self._read_heights(), "return heights")
         self._places, self._moved_at = {}, self._loop.time()
+        self._ours_moved_at = self._moved_at
         try:
             while self._waiting:
+                self._read_settings()
                 await asyncio.sleep(PERIOD_S)
-                for waits in list(self._waiting.values()):
-                    self._look(waits)
-                ready = [waits.actor for waits in self._waiting.values() if waits.order_number is not None]
-                self._carry_out(await self._decide(ready))
-                if not self._moves() and reading.done():
-                    self._give_up()
+                async with self._deciding:
+                    self._leave_out_gone()
+                    self._look_home()
+                    waiting = [waits for waits in self._waiting.values() if waits.step is Step.WAITS]
+                    ready = [waits.actor for waits in waiting if self._is_ours(waits)]
+                    self._carry_out(await self._decide(ready))
+                if not self._moves() and self._is_read():
+                    self._give_up([(waits, waits.told) for waits in self._waiting.values()], "stays")
+        except Exception:
+            self._let_go("a fault inside skygcs")
+            raise
         finally:
-            self._running = False
-            reading.cancel()
+            for task in self._reading.values():
+                task.cancel()
+            self._reading.clear()
 
-    def _look(self, waits: _Waiting) -> None:
-        """Leave it to whoever else has taken it: another order, its failsafe, its pilot."""
-        actor, vehicle = waits.actor, waits.actor.vehicle
-        if waits.order_number is None:
-            return
-        if vehicle.mode in COMING_HOME:
-            self._drop(waits)
-            self._report(actor, f"it does not wait any more: it is in {vehicle.mode}")
-        elif actor.order_number != waits.order_number or not is_flying(vehicle, self._loop.time()):
-            self._drop(waits)
-            self._report(actor, "it does not wait any more to return: it was ordered something else, or is down")
+    def _leave_out_gone(self) -> None:
+        """Vehicles that were forgotten are not in the way any more."""
+        for waits in [waits for waits in self._waiting.values() if waits.actor.closed]:
+            self._drop(waits, "it does not wait any more to return: it was forgotten")
+        for key in [key for key, actor in self._members.items() if actor.closed]:
+            del self._members[key]
 
-    def _drop(self, waits: _Waiting) -> None:
+    def _is_current(self, waits: Waiting) -> bool:
+        """False once it was dropped, or another order to return took its place."""
+        return self._waiting.get(waits.actor.vehicle.key) is waits
+
+    def _is_ours(self, waits: Waiting) -> bool:
+        """True if it may be ordered something now. Drops one that something else has taken; see the table."""
+        if not self._is_current(waits):
+            return False
+        actor, vehicle, runner = waits.actor, waits.actor.vehicle, waits.actor.runner
+        if not vehicle.connected:
+            return False
+        if actor.order_number != waits.order_number and runner.moving:
+            return False  # that may be refused
+        if runner.effective > waits.order_number and runner.effective_serial > waits.serial:
+            text = f"it does not wait any more to return: it was ordered something else ({runner.effective_order})"
+            self._drop(waits, text)
+        elif vehicle.mode in COMING_HOME:
+            self._drop(waits, f"it does not wait any more: it is in {vehicle.mode}")
+        elif not is_flying(vehicle, self._loop.time()):
+            self._drop(waits, "it does not wait any more to return: it is down")
+        elif runner.effective > waits.order_number and vehicle.mode in HOLDS_IN:
+            self._adopt(waits, HELD_S)
+            return False
+        elif vehicle.custom_mode != waits.custom_mode:
+            self._drop(waits, f"it does not wait any more to return: it was switched to {vehicle.mode}")
+        elif actor.order_number != waits.order_number:
+            self._adopt(waits, 0.0)
+        return self._is_current(waits)
+
+    def _adopt(self, waits: Waiting, pause_s: float) -> None:
+        """An order that changes nothing of its wait has ended: it was refused, or was a hold of the daemon's own."""
+        waits.order_number, waits.custom_mode = waits.actor.order_number, waits.actor.vehicle.custom_mode
+        waits.goal_m = None if pause_s else waits.goal_m
+        waits.retry_at = max(waits.retry_at, self._loop.time() + pause_s)
+        why = f"{waits.actor.runner.effective_order}, not asked for" if pause_s else "another order, which failed"
+        self._report(waits.actor, f"it goes on waiting after {why}")
+
+    def _drop(self, waits: Waiting, why: str | None) -> None:
         del self._waiting[waits.actor.vehicle.key]
+        if why is not None:
+            waits.over = why
+            self._report(waits.actor, why)
+
+    def _gone(self, waits: Waiting) -> None:
+        """It is on its way home."""
+        self._drop(waits, None)
+        self._left_at[waits.actor.vehicle.key] = self._loop.time()
+
+    def _leaves(self, actor: VehicleActor) -> bool:
+        waits = self._waiting.get(actor.vehicle.key)
+        return waits is not None and waits.step is Step.LEAVES
+
+    def _is_under_way(self, actor: VehicleActor, now: float) -> bool:
+        """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`."""
+        key, vehicle = actor.vehicle.key, actor.vehicle
+        left = now - self._left_at.get(key, -math.inf) < TAKES_S or self._leaves(actor)
+        comes = left or vehicle.mode in COMING_HOME or actor.runner.sends in LANDS
+        return is_flying(vehicle, now) and key not in self._staying and comes
 
     async def _decide(self, free: Sequence[VehicleActor]) -> Departures:
         """The decision for these, in turns with others."""
@@ -167,17 +404,16 @@ class Returns:
         waiting = [one for actor in free if (one := self._returning(actor, now)) is not None]
         under_way: list[Returning] = []
         fixed: list[Way] = []
-        for key, actor in self._members.items():
+        for actor in self._members.values():
             one = None if actor in free else self._returning(actor, now)
             if one is None:
                 continue
-            flies = is_flying(actor.vehicle, now)
-            leaves = actor.vehicle.mode in COMING_HOME or now - self._left_at.get(key, -math.inf) < TAKES_S
-            if flies and leaves and key not in self._waiting:
+            if self._is_under_way(actor, now):
                 under_way.append(one)
             else:
+                flies = is_flying(actor.vehicle, now)
                 fixed.append(replace(one.place(), doing="in the air" if flies else "parked"))
-        work = departing(waiting, under_way, fixed)
+        work = departing(waiting, under_way, fixed, self._staying)
         while True:
             try:
                 next(work)
@@ -188,110 +424,194 @@ class Returns:
 
     def _carry_out(self, decided: Departures) -> None:
         now = self._loop.time()
+        for key, names in decided.waits_for.items():
+            if (waits := self._waiting.get(key)) is not None:
+                waits.told = names
         for key in (*decided.leave, *decided.climb):
             waits = self._waiting.get(key)
-            if waits is None or waits.order_number is None or now < waits.retry_at:
-                continue
+            if waits is None or waits.step is not Step.WAITS or now < waits.retry_at or not self._is_ours(waits):
+                continue  # the decision took time
             goal_m = decided.climb.get(key)
             if goal_m is not None and waits.goal_m is not None and abs(goal_m - waits.goal_m) < MOVED_M:
                 continue  # it climbs there
-            waits.order_number = None
+            if goal_m is not None and waits.actor.vehicle.failsafe:
+                continue  # its own failsafe may be about to act, and must not be broken off
+            waits.step = Step.LEAVES if goal_m is None else Step.CLIMBS
+            if goal_m is None:
+                self._left_at[key] = now
             work = self._leave(waits) if goal_m is None else self._climb(waits, goal_m)
-            self._tasks.start(work, f"return of {waits.actor.name}")
-        for key, names in decided.waits_for.items():
-            waits = self._waiting.get(key)
-            if waits is not None:
-                waits.told = names
+            self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
+        if self._is_read():
+            stuck = [(self._waiting[key], names) for key, names in decided.stuck.items() if key in self._waiting]
+            self._give_up(stuck, "holds at the end of its return, and stays")
 
-    async def _leave(self, waits: _Waiting) -> None:
-        actor = waits.actor
-        self._left_at[actor.vehicle.key] = self._loop.time()
-        outcome = await actor.rtl()
-        if self._waiting.get(actor.vehicle.key) is not waits:
+    async def _leave(self, waits: Waiting) -> None:
+        """A turn of the loop after the decision."""
+        if not self._is_ours(waits):
+            self._waits_again(waits)
             return
-        if outcome.ok or outcome.result == "cancelled":
-            self._drop(waits)
-            self._left_at[actor.vehicle.key] = self._loop.time()
+        outcome = await waits.actor.rtl()
+        if not self._is_current(waits):
+            return
+        if outcome.ok:
+            self._gone(waits)
         else:
-            del self._left_at[actor.vehicle.key]
-            self._ordered(waits)
+            self._ordered(waits, outcome)
 
-    async def _climb(self, waits: _Waiting, goal_m: float) -> None:
+    async def _climb(self, waits: Waiting, goal_m: float) -> None:
+        if not self._is_ours(waits):
+            self._waits_again(waits)
+            return
         actor, now = waits.actor, self._loop.time()
         one = self._returning(actor, now)
         if one is None or self._frame is None:
-            self._ordered(waits)
+            self._ordered(waits, Outcome.refused("its place is not known"))
             return
         lat_deg, lon_deg, alt_amsl_m = self._frame.to_geodetic(*one.here[:2], goal_m)
         home_amsl_m = actor.vehicle.home_alt_amsl_m()
-        self._report(actor, f"it climbs by {goal_m - one.here[2]:.0f} m, above the way home of others, and waits there")
+        over = [name for name in waits.told if name in {self._members[key].name for key in self._staying}]
+        above = f"above {_named(over)}, and returns then" if over else "above the way home of others, and waits there"
+        self._report(actor, f"it climbs by {goal_m - one.here[2]:.0f} m, {above}")
         height_m = alt_amsl_m - (0.0 if home_amsl_m is None else home_amsl_m)
-        outcome = await actor.goto(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, force=True)
+        where: Where = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "force": True}
+        limit_m = actor.config.goto_limit_m
+        outcome = await actor.runner.run(
+            "goto", lambda now: replace(goto(actor.vehicle, now, limit_m=limit_m, **where), spares=COMING_HOME)
+        )
         waits.goal_m = goal_m if outcome.ok else None
-        self._ordered(waits, ok=outcome.ok)
+        self._ordered(waits, outcome)
 
-    def _ordered(self, waits: _Waiting, *, ok: bool = False) -> None:
-        """An order to one that goes on waiting has ended."""
-        waits.order_number = waits.actor.order_number
-        if not ok:
+    def _waits_again(self, waits: Waiting) -> None:
+        if self._is_current(waits):
+            waits.step = Step.WAITS
+
+    def _ordered(self, waits: Waiting, outcome: Outcome) -> None:
+        """An order to one that goes on waiting has ended. A climb whose answer did not come may have changed the mode
+        of a plane, which holds in another one; any other mode after a failure is not ours. Without a number it was not
+        sent."""
+        vehicle = waits.actor.vehicle
+        waits.step, waits.has_waited = Step.WAITS, True
+        if outcome.order_number is not None:
+            waits.order_number = outcome.order_number  # a newer one that took its place is not ours
+        if outcome.ok or vehicle.mode == "GUIDED":
+            waits.custom_mode = vehicle.custom_mode
+        if not outcome.ok:
             waits.retry_at = self._loop.time() + AGAIN_S
 
+    def _look_home(self) -> None:
+        """Note who holds at the end of its return."""
+        now = self._loop.time()
+        for key, actor in self._members.items():
+            vehicle, flying = actor.vehicle, is_flying(actor.vehicle, now)
+            home_s = self._homes.setdefault(key, HomeWatch()).stays_s(vehicle, now, flying=flying)
+            rule = vehicle.return_rule(now)
+            holds = rule.known and not rule.markers and rule.end is ReturnEnd.HOLDS
+            holds = holds and vehicle.connected and not vehicle.failsafe
+            if not (flying and holds and vehicle.mode in MISSION_RETURN_MODES and home_s >= HOME_S):
+                self._staying.discard(key)
+            elif key not in self._staying:
+                self._staying.add(key)
+                self._report(actor, "it holds at the end of its return: those that wait fly home above it, if at all")
+
     def _moves(self) -> bool:
-        """True if one of them has moved, or landed, in the last `STUCK_S`."""
+        """True if one of them has moved, or landed, in the last `STUCK_S`; those that others fly alone for `OTHERS_S`
+        at most."""
         now = self._loop.time()
         for key, actor in self._members.items():
             one = self._returning(actor, now)
             here = None if one is None or not is_flying(actor.vehicle, now) else one.here
             last = self._places.get(key)
-            if (here is None) != (last is None) or (here and last and math.dist(here, last) > MOVED_M):
-                self._moved_at = now
-                if here is None:
-                    del self._places[key]
-                else:
-                    self._places[key] = here
-        return now - self._moved_at < STUCK_S
+            if (here is None) == (last is None) and not (here and last and math.dist(here, last) > MOVED_M):
+                continue
+            left = now - self._left_at.get(key, -math.inf) < TAKES_S
+            if here is None or left or key in self._waiting or actor.vehicle.mode in COMING_HOME:
+                self._ours_moved_at = now
+            self._moved_at = now
+            if here is None:
+                del self._places[key]
+            else:
+                self._places[key] = here
+        return now - self._moved_at < STUCK_S and now - self._ours_moved_at < OTHERS_S
 
-    def _give_up(self) -> None:
-        """The ways do not become clear: what is left is a person's decision, or a landing where they are."""
-        for waits in list(self._waiting.values()):
-            self._drop(waits)
-            actor, text = waits.actor, f"{_named(waits.told)} stays in its way home"
-            if waits.at_end == "land":
+    def _give_up(self, stuck: Sequence[tuple[Waiting, Sequence[str]]], does: str) -> None:
+        """The ways of these do not become clear: what is left is a person's decision, or a landing where they are."""
+        for waits, names in stuck:
+            actor, heard = waits.actor, waits.actor.vehicle.connected
+            if waits.step is not Step.WAITS or (heard and not self._is_ours(waits)):
+                continue
+            text = f"{_named(names)} {does} in its way home" if heard else "it is not heard"
+            self._drop(waits, None)
+            below = self._below(actor)
+            if waits.at_end == "land" and not below:
                 self._report(actor, f"{text}: it lands where it is", given_up=True)
-                self._tasks.start(actor.land(), f"landing of {actor.name}")
+                self._tasks.start(self._land(waits), f"landing of {actor.name}", waits.serial)
+            elif waits.at_end == "land":
+                text += f", and {_named(below)} is below it: it holds, and does not land"
+                self._report(actor, text, given_up=True)
             else:
                 todo = f"send it home in spite of that (skygcs-cli rtl {actor.name}), elsewhere, or land it"
                 self._report(actor, f"{text}: it holds and does not return; {todo}", given_up=True)
 
-    async def _read_heights(self) -> None:
-        """Read the return heights of all, until which any height is taken to be possible."""
-        wanted = [actor for key, actor in self._members.items() if key not in self._heights]
-        async with asyncio.TaskGroup() as group:
-            for actor in wanted:
-                group.create_task(self._read_height(actor), name=f"return height of {actor.name}")
+    def _below(self, actor: VehicleActor) -> list[str]:
+        """The members onto which it would come down where it is, in the air or on the ground."""
+        now = self._loop.time()
+        one = self._returning(actor, now)
+        if one is None:
+            return []
+        down = replace(one.place(), legs=(column(one.here, one.home[2]),))
+        others = [self._returning(other, now) for other in self._members.values() if other is not actor]
+        return [other.name for other in others if other is not None and too_near(down, other.place())]
 
-    async def _read_height(self, actor: VehicleActor) -> None:
-        height = await read_return_height(actor)
-        if height is not UNKNOWN:
-            self._heights[actor.vehicle.key] = height
+    async def _land(self, waits: Waiting) -> None:
+        """A turn of the loop after it was given up: unless its pilot took it, or something else was ordered."""
+        actor = waits.actor
+        ours = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
+        if ours and _goes_by_itself(actor.vehicle) is None:
+            await actor.land()
+
+    def _read_settings(self) -> None:
+        """Begin to read the return height of each, until which any height is taken to be possible, and how it ends."""
+        for key, actor in self._members.items():
+            if key not in self._reading:
+                self._reading[key] = self._tasks.start(self._read(actor), f"return height of {actor.name}")
+
+    def _is_read(self) -> bool:
+        """True if the settings of all have been read, as far as they answer."""
+        return all(key in self._reading and self._reading[key].done() for key in self._members)
+
+    async def _read(self, actor: VehicleActor) -> None:
+        if known_return_height(actor.vehicle) is UNKNOWN:
+            height = await read_return_height(actor)
+            if height is not UNKNOWN:
+                self._heights[actor.vehicle.key] = height
+        for name in actor.vehicle.abilities.return_params:
+            if actor.vehicle.param(name) is None:
+                await actor.params.get(name)
 
     def _returning(self, actor: VehicleActor, now: float) -> Returning | None:
-        """A member, where it is now; None if that or its home is not known."""
+        """A member, where it is now, or was when that was known last; None if it or its home never was."""
         vehicle = actor.vehicle
         position, at = vehicle.timed_telemetry("position")
         home = vehicle.telemetry("home")
         if position is None or at is None or home is None or self._frame is None or position["lat_deg"] is None:
-            return None
-        return Returning(
+            seen = self._seen.get(vehicle.key)
+            return None if seen is None else replace(seen[0], age_s=max(0.0, now - seen[1]))
+        waits = self._waiting.get(vehicle.key)
+        height = known_return_height(vehicle)
+        one = Returning(
             vehicle.key,
             vehicle.name,
             self._footprint(actor),
             self._frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]),
             position["vel_enu_mps"],
             self._frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]),
-            self._heights.get(vehicle.key, UNKNOWN),
+            self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
+            None if waits is None else waits.goal_m,
+            lands=vehicle.mode in LANDING or actor.runner.sends in LANDS,
         )
+        self._seen[vehicle.key] = one, at
+        return one
 
     def _report(self, actor: VehicleActor, text: str, *, given_up: bool = False) -> None:
         data = {"order": "rtl", "result": "failed" if given_up else "in_progress"}
@@ -332,6 +652,13 @@ def _is_placed(vehicle: Vehicle, now: float) -> bool:
     placed = position is not None and position["lat_deg"] is not None and home is not None
     stays = vehicle.abilities_now(now).hovers and not vehicle.abilities_now(now).circles
     return placed and stays and vehicle.connected and not vehicle.replayed and is_flying(vehicle, now)
+
+
+def _goes_by_itself(vehicle: Vehicle) -> str | None:
+    """Why it must not be held: its own failsafe, or its return or landing. None: nothing."""
+    if vehicle.mode in COMING_HOME:
+        return f"it is in {vehicle.mode}"
+    return "its own failsafe acts" if vehicle.failsafe else None
 
 
 def _frame(vehicle: Vehicle) -> EnuFrame:

@@ -41,7 +41,7 @@ from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFl
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime.returns import known_return_height
-from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.task_set import OWN, TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
@@ -62,7 +62,7 @@ MAX_HOLDS = 64
 
 
 class Destination(NamedTuple):
-    """Where skygcs has sent a vehicle. It holds while no newer order moves it and its mode is the same."""
+    """Where skygcs has sent a vehicle. It holds while no newer order moves it, or may, and its mode is the same."""
 
     place: Place
     order_number: int
@@ -166,7 +166,7 @@ class SeparationMonitor:
             return
         data = {**request.data, "order": "hold", "with": request.other}
         self._on_event(Event(KIND, actor.name, actor.sysid, request.text, data))
-        self._tasks.start(self._carry_out(actor, request), f"hold {actor.name} for its distance")
+        self._tasks.start(self._carry_out(actor, request), f"hold {actor.name} for its distance", OWN)
 
     async def _carry_out(self, actor: VehicleActor, request: HoldRequest) -> None:
         outcome = await actor.hold()
@@ -192,7 +192,7 @@ class SeparationMonitor:
     def arriving(self, actor: VehicleActor, *, ok: bool) -> None:
         """The order of `sent_to` has ended: it flies there, or does not."""
         known = self._destinations.pop(actor.vehicle.key, None)
-        if ok and known is not None and known.order_number == actor.order_number:
+        if ok and known is not None and actor.runner.effective <= known.order_number:
             self._destinations[actor.vehicle.key] = known._replace(mode=actor.vehicle.mode)
 
     def goto_refusal(self, vehicle: Vehicle, to: Place, together: frozenset[int]) -> str | None:
@@ -375,7 +375,7 @@ class SeparationMonitor:
             return None
         if known.mode is None:
             return known.place
-        if (actor.order_number, actor.vehicle.mode) != (known.order_number, known.mode):
+        if actor.runner.effective > known.order_number or actor.vehicle.mode != known.mode:
             del self._destinations[key]
             return None
         return known.place

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from skygcs.cancellation import carried_through
 from skygcs.config.files import write_whole
 from skygcs.config.models import LinkConfig
 from skygcs.config.signing import EVERY_MESSAGE, read_key
@@ -451,9 +452,13 @@ class Signing:
                         await self._save(key, stamp, exact=False)
                     self._report_store()
         finally:
-            for key in self._keys.values():
-                await self._save(key, key.clock.timestamp, exact=True)
-            self._report_store()
+            # a second cancellation must not leave a clock behind what was sent: its vehicle would refuse what follows
+            await carried_through(self._save_all())
+
+    async def _save_all(self) -> None:
+        for key in self._keys.values():
+            await self._save(key, key.clock.timestamp, exact=True)
+        self._report_store()
 
     async def _save(self, key: _Key, stamp: int, *, exact: bool) -> None:
         if self.disk is None:

@@ -3,9 +3,12 @@
     running     it ends                  -> waiting; an event, the first time of a series
     waiting     FIRST_PAUSE_S, doubling to LONGEST_PAUSE_S -> running
     running     for STEADY_S             the next pause is the first one again
-    `close`     SIGTERM, and its standard input ends, as it does when the daemon is killed
+    `run` ends  SIGTERM, and its standard input ends, as it does when the daemon is killed; `run` again starts a new one
+    `close`     the same, for good
+    `ended`     it has ended, or gets SIGKILL END_S later
 
-The daemon never waits for it: it is looked at twice a second.
+While the daemon runs, it does not wait for the process: it looks at it twice a second. At its own end it does: what a
+process does last, in a folder that the daemon's starter removes, is done then.
 """
 
 from __future__ import annotations
@@ -19,11 +22,18 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+import structlog
+
 from skygcs.events import Event
+
+_log = structlog.get_logger("skygcs")
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
 STEADY_S = 30.0
 LOOK_S = 0.5
+END_S = 5.0
+"""From SIGTERM to SIGKILL. The web page ends within 0.3 s; ROS waits for its clients before it ends, up to
+`ext.ros.process.FAREWELL_S`."""
 
 
 class SupervisedChild:
@@ -54,16 +64,23 @@ class SupervisedChild:
         self._process: subprocess.Popen[bytes] | None = None
         self._failing = False
         self._closed = False
+        self._wanted: object | None = None
+        """The `run` in progress."""
+        self._starting: asyncio.Task[subprocess.Popen[bytes]] | None = None
+        self._ending: list[subprocess.Popen[bytes]] = []
+        """Those that got SIGTERM."""
         self._start_lock = threading.Lock()
-        """Around `_process` and `_closed`: the thread that starts a process goes on when the task is cancelled."""
+        """Around `_process` and `_wanted`: the thread that starts a process goes on when the task is cancelled."""
 
     async def run(self) -> None:
-        """Keep it running until the task is cancelled."""
+        """Keep it running until the task is cancelled. After a fault it may be called again."""
+        await self.ended()
+        wanted = self._wanted = object()
         pause_s = FIRST_PAUSE_S
         try:
             while True:
                 began = self._loop.time()
-                reason = await self._run_once()
+                reason = await self._run_once(wanted)
                 if self._loop.time() - began >= STEADY_S:
                     pause_s = FIRST_PAUSE_S
                 if not self._failing:
@@ -74,12 +91,13 @@ class SupervisedChild:
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
                 self.restarts += 1
         finally:
-            self.close()
+            self._stop()
 
-    async def _run_once(self) -> str:
+    async def _run_once(self, wanted: object) -> str:
         """Start it and wait for its end; how it ended."""
         try:
-            process = await asyncio.to_thread(self._start)
+            self._starting = asyncio.create_task(asyncio.to_thread(self._start, wanted), name=f"start of {self.what}")
+            process = await asyncio.shield(self._starting)
         except OSError as error:
             return error.strerror or str(error)
         began = self._loop.time()
@@ -92,11 +110,12 @@ class SupervisedChild:
         code = process.returncode
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        """In a thread. A process that is there only after `close` is ended at once. Raises OSError."""
+    def _start(self, wanted: object) -> subprocess.Popen[bytes]:
+        """In a thread. A process that is there only after its `run` or after `close` is ended at once. Raises
+        OSError."""
         process = subprocess.Popen(self._line, stdin=subprocess.PIPE)
         with self._start_lock:
-            if self._closed:
+            if self._closed or self._wanted is not wanted:
                 self._end(process)
             else:
                 self._process = process
@@ -104,8 +123,12 @@ class SupervisedChild:
 
     def close(self) -> None:
         """End it for good, without waiting. Idempotent."""
+        self._closed = True
+        self._stop()
+
+    def _stop(self) -> None:
         with self._start_lock:
-            self._closed = True
+            self._wanted = None
             process, self._process = self._process, None
         if process is not None:
             self._end(process)
@@ -113,8 +136,27 @@ class SupervisedChild:
     def _end(self, process: subprocess.Popen[bytes]) -> None:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
+            self._ending.append(process)
         self._release(process)
-        process.returncode = process.returncode or 0  # nobody looks at it any more: its parent ends
+
+    async def ended(self) -> None:
+        """Wait until what got SIGTERM has ended, at most END_S; then kill it."""
+        if self._starting is not None:
+            await asyncio.wait({self._starting})  # its fault is that of `run`
+        while self._ending:
+            process = self._ending[0]
+            await asyncio.to_thread(self._wait, process)
+            if process in self._ending:  # `run` and the daemon's end may both wait
+                self._ending.remove(process)
+
+    def _wait(self, process: subprocess.Popen[bytes]) -> None:
+        """In a thread."""
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            _log.warning(f"the process of {self.what} did not end when asked, and was killed", pid=process.pid)
+            process.kill()
+            process.wait()
 
     def _report(self, text: str, change: str, **data: str) -> None:
         self._on_event(Event("warning", None, None, text, {"change": f"{self.kind}_{change}", **data}))

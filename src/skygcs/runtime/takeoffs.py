@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Collection, Coroutine
 from typing import Any
 
 from skygcs.core.protocols.command import Outcome
@@ -19,7 +19,10 @@ KIND = "takeoff"
 
 LOOK_S = 0.2
 
-FOREIGN_S = 60.0
+LEAVES = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER", "GUIDED", "TAKEOFF"})
+"""Modes that a take-off leaves a vehicle in (`core.vehicle.takeoff_watch`)."""
+
+NOT_ORDERED_S = 60.0
 """Longest wait for a take-off that was not ordered here, and whose height is not known."""
 
 
@@ -50,14 +53,19 @@ class Takeoffs:
         """No take-off is watched."""
 
     def begin(self, outcome: Outcome, from_amsl_m: float | None, height_m: float, *, engage: bool) -> None:
-        """Watch a take-off that has this outcome. ``engage``: begin control at its end, if the fleet file says so."""
+        """Watch a take-off that has this outcome. ``engage``: begin control at its end, if the fleet file says so. The
+        watch over one before goes on if the vehicle has refused this one."""
+        number = outcome.order_number
+        if number is not None and self._orders.effective >= number:
+            self.cancel()
         if not outcome.ok or from_amsl_m is None:
             return
         self._watch = watch = TakeoffWatch(self._vehicle, from_amsl_m, height_m, self._loop.time())
         self._ended_by = SUPERSEDED
         self._over.clear()
         control_mode = self._control_mode if engage else "off"
-        self._tasks.start(self._follow(watch, self._orders.number, control_mode), "watch of the take-off")
+        number = self._orders.effective if number is None else number
+        self._tasks.start(self._follow(watch, number, control_mode), "watch of the take-off")
 
     def cancel(self) -> None:
         """Watch no more: something else was ordered, or the daemon ends. Idempotent."""
@@ -77,20 +85,27 @@ class Takeoffs:
         if self._watch is not None:
             await self._over.wait()
             return self._ended_by
-        number, until = self._orders.number, self._loop.time() + FOREIGN_S
+        number, until = self._orders.effective, self._loop.time() + NOT_ORDERED_S
+        mode = self._vehicle.mode
         while reports_takeoff(self._vehicle, self._loop.time()):
             await asyncio.sleep(LOOK_S)
-            if self._orders.number != number:
+            if self._orders.effective > number:
                 return SUPERSEDED
             if self._loop.time() > until:
                 return "it still reports a take-off, which was not ordered here"
-        return None
+        return self._switched({mode})
+
+    def _switched(self, expected: Collection[str]) -> str | None:
+        """That the vehicle was switched to another mode than a take-off leaves it in, or one of these."""
+        mode = self._vehicle.mode
+        return None if mode in LEAVES or mode in expected else f"it was switched to {mode} during its take-off"
 
     async def _follow(self, watch: TakeoffWatch, number: int, control_mode: str) -> None:
         try:
-            while (verdict := watch.look(self._loop.time())) == "climbs":
+            # while another order is being sent, which it may refuse, nothing is judged
+            while self._orders.moving or (verdict := watch.look(self._loop.time())) == "climbs":
                 await asyncio.sleep(LOOK_S)
-                if self._orders.number != number:
+                if self._orders.effective > number:
                     return  # another order came: what it wants is flown
             if verdict != "reached":
                 self._ended_by = f"its take-off did not end as it was ordered: {verdict}"
@@ -98,7 +113,7 @@ class Takeoffs:
                 return
             begun = None if control_mode == "off" else await self._engage(control_mode)
             if begun is None or begun.result != "cancelled":
-                self._ended_by = None
+                self._ended_by = self._switched({"OFFBOARD"} if begun is not None and begun.ok else ())
         finally:
             if self._watch is watch:
                 self._watch = None

@@ -1,14 +1,73 @@
-"""Background tasks, each with an owner."""
+"""Background tasks, each with an owner, and the order that each carries out.
+
+Of two orders the later one counts, whichever waited longer on its way. So each has a serial from where it is asked for:
+
+    asked for by                                    its serial
+    ---------------------------------------------   ------------------------------------------------------------
+    a person or program (`FleetOrders.command_all`)  a new one (`ask`)
+    the daemon, to carry out one of these later     that of the order which it carries out
+    a plan, with each of its orders                 that of the last order of a person to the plan
+    the daemon by itself: a hold                    `OWN`: it makes no order of a person void
+    a caller of an actor that has none              a new one, where it reaches the gate (`OrderRunner.attempt`)
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+import itertools
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
+from typing import Any, NamedTuple, TypeVar
 
 from skygcs.events import Event
 
 T = TypeVar("T")
+
+OWN = 0
+"""Serial of an order that the daemon gives by itself."""
+
+ORDER_SERIAL: ContextVar[int | None] = ContextVar("order_serial", default=None)
+"""Serial of the order that the present task carries out; None: it carries out none. Tasks that begin within an order
+inherit it, and so never count as a newer order."""
+
+_serials = itertools.count(OWN + 1)
+
+
+def ask() -> int:
+    """Serial of an order that is asked for now. Nothing else makes one."""
+    return next(_serials)
+
+
+@contextmanager
+def carrying_out(serial: int) -> Iterator[None]:
+    """Carry out the order of this serial in a block that does not wait."""
+    token = ORDER_SERIAL.set(serial)
+    try:
+        yield
+    finally:
+        ORDER_SERIAL.reset(token)
+
+
+class Asked(NamedTuple):
+    """An order that is asked for, and the vehicle's mode then; see `OrderRunner.overtaken`."""
+
+    serial: int
+    custom_mode: int | None = None
+    """None: an order of ours was changing it, or a take-off was under way."""
+    number: int = 0
+    """`OrderRunner.number` then."""
+
+
+async def numbered(work: Coroutine[Any, Any, T], new: Callable[[], int] = ask) -> T:
+    """Carry out work that has a serial from here on: that of the present task, or, without one, a new one."""
+    if ORDER_SERIAL.get() is not None:
+        return await work
+    ORDER_SERIAL.set(new())
+    try:
+        return await work
+    finally:
+        ORDER_SERIAL.set(None)
 
 
 class TaskSet:
@@ -31,9 +90,14 @@ class TaskSet:
     def __len__(self) -> int:
         return len(self._tasks)
 
-    def start(self, work: Coroutine[Any, Any, T], what: str) -> asyncio.Task[T]:
-        """``what``: its name in reports of faults and in lists of tasks."""
-        task = self._loop.create_task(work, name=what if self._name is None else f"{self._name} {what}")
+    def start(self, work: Coroutine[Any, Any, T], what: str, serial: int | None = None) -> asyncio.Task[T]:
+        """``what``: its name in reports of faults and in lists of tasks. ``serial``: of the order that it carries out;
+        None: that of the task that starts it."""
+        context = copy_context()
+        if serial is not None:
+            context.run(ORDER_SERIAL.set, serial)
+        name = what if self._name is None else f"{self._name} {what}"
+        task = self._loop.create_task(work, name=name, context=context)
         self._tasks.add(task)
         task.add_done_callback(self._ended)
         return task

@@ -289,6 +289,7 @@ class Trajectories:
         group = TrajectoryGroup(clock, flights, lock, plan=plan)
         self._groups.append(group)
         for actor, flight in flights.items():
+            actor.runner.note_effect()
             text = (
                 f"{flight.loaded.name} begins in {at_s - now:.1f} s and takes {flight.duration_s / speed_factor:.1f} s"
             )

@@ -18,7 +18,7 @@ from skygcs.events import Event
 from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.order_runner import UNHEARD, OrderRunner, Planner
-from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.task_set import OWN, TaskSet
 
 KIND = "unattended"
 
@@ -85,7 +85,7 @@ class UnattendedHolds:
             self._reported = None
             text = f"nobody flies it in {self._vehicle.mode} ({effect.who} did): it is ordered to hold"
             self._publish(text, {"flown_before": effect.who})
-        self._tasks.start(self._hold(), "hold of an unattended vehicle")
+        self._tasks.start(self._hold(), "hold of an unattended vehicle", OWN)
 
     def on_station(self, frame: Frame, now: float) -> None:
         """A message of another station to it, one of `STATION_MESSAGES`, passed us."""

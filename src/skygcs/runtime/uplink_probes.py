@@ -46,10 +46,8 @@ class UplinkProbes:
         if not self._enabled or not self._vehicle.connected:
             return
         watch = self._watch
-        if watch.unanswered >= FEWEST:
-            last_frame_at = max((slot.at for slot in self._vehicle.slots.values()), default=-math.inf)
-            if watch.verdict(now, last_frame_at) is not None:
-                self._report("lost")
+        if watch.unanswered >= FEWEST and watch.verdict(now, self._last_frame_at()) is not None:
+            self._report("lost")
         armed = self._vehicle.armed
         if not watch.due(now, armed=armed):  # so most ticks do not ask what the links carry
             return
@@ -61,7 +59,10 @@ class UplinkProbes:
             return  # the last one has not left yet: another one behind it measures nothing
         token = watch.token()
         if self._commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}, key=key):
-            watch.sent(token, now)
+            watch.sent(token, now, self._last_frame_at())
+
+    def _last_frame_at(self) -> float:
+        return max((slot.at for slot in self._vehicle.slots.values()), default=-math.inf)
 
     def on_ack(self, now: float) -> None:
         """The vehicle has acknowledged a command of ours: it hears us."""

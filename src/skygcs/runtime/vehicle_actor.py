@@ -28,10 +28,7 @@ from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
-from skygcs.core.vehicle.flight_lock import (
-    RateChange,
-    SensorCalibration,
-)
+from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
 from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardState
@@ -61,14 +58,17 @@ from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.takeoffs import Takeoffs
+from skygcs.runtime.task_set import numbered
 from skygcs.runtime.unattended_holds import UnattendedHolds
 from skygcs.runtime.uplink_probes import UplinkProbes
-from skygcs.runtime.vehicle_services import SetpointProgram, VehicleServices
+from skygcs.runtime.vehicle_services import Outlet, SetpointProgram, VehicleServices
 
 if TYPE_CHECKING:  # only some vehicles have them
     from skygcs.runtime.onboard_logs import VehicleLogs
 
 SHUTDOWN = "skygcs is shutting down"
+
+ENTRY_ENDED = "no order reaches it by this entry any more; if it is heard again, order it anew"
 
 
 class VehicleActor:
@@ -95,22 +95,18 @@ class VehicleActor:
         self.config = config
         self.channel = ""
         """Label of the channel that carried its last heartbeat."""
-        self._closed = False
+        self._closed = ""
+        """Why it was closed."""
         self.program: SetpointProgram | None = None
         """Whose setpoint it followed last; None: a client's, or it was ordered somewhere since."""
-        self.services = services
+        self._outlet = Outlet(services.send)
+        services = self.services = replace(services, send=self._outlet.send)
         self._loop = services.loop
         self._dialect = services.dialect
         # orders: the commands on the wire, what runs them, flight by setpoints
         ids = (vehicle.sysid, vehicle.compid)
-        self.commands = CommandClient(
-            ids,
-            services.own,
-            services.dialect,
-            services.send,
-            services.loop,
-            self._state_evidence(),
-        )
+        own, dialect = services.own, services.dialect
+        self.commands = CommandClient(ids, own, dialect, services.send, services.loop, self._state_evidence())
         self.streams = StreamRequester(
             vehicle, self.commands, services.dialect, config.streams, partial(services.links.counts_on, vehicle.key)
         )
@@ -166,7 +162,9 @@ class VehicleActor:
 
     def _order_refusal(self, plan: Plan) -> str | None:
         """Why a plan is not executed: another site may command the vehicle, or an extension objects. The emergency stop
-        always is."""
+        always is, but on an actor that is closed."""
+        if self._closed:
+            return f"{self._closed}: {ENTRY_ENDED}"
         if plan.order == "stop":
             return None
         return self.authority_refusal() or self.services.order_refusal(self.vehicle, plan, self._loop.time())
@@ -201,6 +199,11 @@ class VehicleActor:
         """Counts the orders that moved it, from the time (ms) at which this actor began: the numbers of a daemon that
         ran before name no order of this one."""
         return self.runner.number
+
+    @property
+    def closed(self) -> bool:
+        """True once nothing goes to the vehicle by this actor any more: it was forgotten, or the daemon ends."""
+        return bool(self._closed)
 
     @property
     def logs(self) -> VehicleLogs:
@@ -365,18 +368,20 @@ class VehicleActor:
             self.fence.wind_down(), self.calibration.wind_down(), self.runner.settled(), self.offboard.settled()
         )
 
-    def close(self) -> None:
-        """End what is under way. Control never begins again: an order may still be on its way to a vehicle that was
-        dropped."""
-        self._closed = True
+    def close(self, reason: str = SHUTDOWN) -> None:
+        """End what is under way, for this reason. Nothing begins again, and the vehicle counts as lost from now on: an
+        order may still be on its way to one that was dropped."""
+        self._closed = reason
         self.takeoffs.cancel()
         self.unattended.close()
-        self.offboard.close()
-        self.missions.close()
-        self._stop_logs("cancelled", SHUTDOWN)
-        self.params.close()
+        self.offboard.close(reason)
+        self.missions.close(reason)
+        self._stop_logs("cancelled", reason)
+        self.params.close(reason)
         self.calibration.close()
-        self.commands.close()
+        self.commands.close(reason)
+        self._outlet.shut()
+        self.vehicle.disconnect()  # nobody ticks it any more
 
     # -- orders
 
@@ -403,7 +408,10 @@ class VehicleActor:
         """``force``: also into a mode flown by sticks, in the air and without any, where that can be sane."""
         model = model_of(self.vehicle, self._loop.time())
         if model.may_fly and model.sticks is Sticks.SEEN and needs_sticks(model, self.vehicle, name):
+            asked = self.runner.asked()
             await self._request("RC_CHANNELS")  # the gate has to know where its throttle is
+            if (why := self.runner.taken_by_pilot(asked)) is not None:
+                return self.refuse("mode", why)
         return await self.runner.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
 
     async def takeoff(
@@ -430,7 +438,6 @@ class VehicleActor:
                 raise RefusedError(why)
             return plan
 
-        self.takeoffs.cancel()
         outcome = await self.runner.retry("takeoff", planner, wait_s)
         self.takeoffs.begin(outcome, self.vehicle.takeoff.alt_amsl_m, height, engage=engage)
         return outcome
@@ -441,13 +448,14 @@ class VehicleActor:
     async def rtl(self) -> Outcome:
         return await self.runner.run("rtl", lambda now: orders.rtl(self.vehicle, now))
 
-    async def hold(self, *, instead_of: int | None = None) -> Outcome:
-        """``instead_of``: the number of the order that it ends; refused if a newer one moves the vehicle."""
+    async def hold(self, *, instead_of: int | None = None, spares: frozenset[str] = frozenset()) -> Outcome:
+        """``instead_of``: the number of the order that it ends; refused if a newer one moves the vehicle. ``spares``:
+        see `Plan`."""
         if instead_of is not None and self.offboard.controller.active:  # of an order under control there is no number
             return self.runner.finish("hold", Outcome.refused("it is flown by setpoints since that order"))
         if instead_of is not None:
             return await self.runner.unless_newer(instead_of, "hold", self._plan_hold)
-        return await self.runner.run("hold", self._plan_hold)
+        return await self.runner.run("hold", lambda now: replace(self._plan_hold(now), spares=spares))
 
     async def stop(self, action: Action) -> Outcome:
         """Emergency stop; see `core.vehicle.stop`. The caller checks the confirmation of a kill
@@ -463,11 +471,14 @@ class VehicleActor:
             to = orders.destination(self.vehicle, self._loop.time(), limit_m=limit_m, **where)
         except RefusedError as error:
             return self.runner.finish("goto", Outcome.refused(str(error)))
+        if (why := await self.runner.late()) is not None:
+            return self.refuse("goto", why)
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
         self.program = None
-        return self.runner.finish(
-            "goto", await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
-        )
+        outcome = await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
+        if outcome.ok:
+            self.runner.note_effect()
+        return self.runner.finish("goto", outcome)
 
     async def calibrate(self, sensor: str) -> Outcome:
         """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
@@ -543,8 +554,14 @@ class VehicleActor:
 
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
         if self._closed:
-            return self.runner.finish("control", Outcome.refused("it was forgotten: nothing flies it any more"))
-        return await self.runner.track("control", self.offboard.engage(ControlMode(mode), force=force))
+            return self.runner.finish("control", Outcome.refused(f"{self._closed}: nothing flies it any more"))
+        return await numbered(self._engaged(ControlMode(mode), force=force))
+
+    async def _engaged(self, mode: ControlMode, *, force: bool) -> Outcome:
+        outcome = await self.runner.track("control", self.offboard.engage(mode, force=force))
+        if outcome.ok:
+            self.runner.note_effect()
+        return outcome
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""
@@ -664,14 +681,8 @@ class VehicleActor:
         """React to events of the vehicle, then publish them."""
         for event in events:
             if event.kind == "statustext":
-                for reader in (
-                    self.commands,
-                    self.missions,
-                    self.fence,
-                    self.params,
-                    self.offboard,
-                    self.calibration,
-                ):
+                others = self.fence, self.params, self.offboard, self.calibration
+                for reader in (self.commands, self.missions, *others):
                     reader.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()

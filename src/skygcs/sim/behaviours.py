@@ -34,11 +34,11 @@ class Fact(Generic[T]):
     source: str
     used: T | None = None
     why: str = ""
+    simulated: T = field(init=False, repr=False, compare=False)
+    """Value that the simulator takes: a field and no property, as each tick reads a dozen of them."""
 
-    @property
-    def simulated(self) -> T:
-        """Return what the simulator does."""
-        return self.value if self.used is None else self.used
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "simulated", self.value if self.used is None else self.used)
 
 
 # -- failsafes

@@ -42,7 +42,7 @@ def watch(v: VehicleState, now: float) -> None:
     silent = v.setpoints_expected and now - v.setpoint_at > v.params[firmware.setpoint_timeout.simulated]
     if alarms.setpoints.check(silent, now):
         _react(v, firmware.setpoints_lost.simulated.of(v.params["COM_OBL_RC_ACT"]), "no offboard signal", now)
-    without = not v.position_ok and not v.landed
+    without = not v.landed and not v.position_ok
     if alarms.position.check(without, now, firmware.position_lost_s.simulated) and v.needs_position:
         _react(v, Reaction.LAND, "position lost", now)
     _watch_battery(v, now)
@@ -118,9 +118,9 @@ def _watch_crash(v: VehicleState, now: float) -> None:
     if time_s <= 0.0:
         return
     motion = v.motion
-    crashed = v.armed and not v.landed and motion.lean_deg > lean_deg and v.attitude_error_deg > error_deg
-    still = hypot(*motion.accel_enu_mps2) < accel_mps2
-    if v.failsafes.crash.check(crashed and still, now, time_s):
+    crashed = v.armed and not v.landed and v.attitude_error_deg > error_deg and motion.lean_deg > lean_deg
+    still = crashed and hypot(*motion.accel_enu_mps2) < accel_mps2
+    if v.failsafes.crash.check(still, now, time_s):
         text = f"Crash: Disarming: AngErr={v.attitude_error_deg:.0f}>{error_deg:.0f}, Accel=0.0<{accel_mps2:.1f}"
         v.tx.say(m.MAV_SEVERITY_EMERGENCY, text)
         v.switch_off("crash")

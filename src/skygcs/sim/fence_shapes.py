@@ -11,6 +11,8 @@ from skygcs.sim.kinematics import LocalFrame
 
 def within(fence: FencePlan, where: LocalFrame, east_m: float, north_m: float, *, every: bool) -> bool:
     """Outside all exclusions, and inside the inclusions: ``every`` one (ArduPilot), or one of them (PX4)."""
+    if not (fence.polygons or fence.circles):
+        return True  # nearly always
     here = (east_m, north_m)
     inclusions: list[bool] = []
     for polygon in fence.polygons:

@@ -35,22 +35,25 @@ class LocalFrame:
     lon_deg: float
     alt_amsl_m: float
 
-    def _metres_per_degree(self) -> tuple[float, float]:
-        lat = radians(self.lat_deg)
-        w2 = 1 - EARTH_E2 * sin(lat) ** 2
-        east = EARTH_A_M / sqrt(w2) + self.alt_amsl_m
-        north = EARTH_A_M * (1 - EARTH_E2) / w2**1.5 + self.alt_amsl_m
-        return radians(east) * max(cos(lat), 1e-6), radians(north)
-
     def to_geodetic(self, east_m: float, north_m: float) -> tuple[float, float]:
         """(lat_deg, lon_deg)."""
-        per_east, per_north = self._metres_per_degree()
+        per_east, per_north = _metres_per_degree(self.lat_deg, self.alt_amsl_m)
         return self.lat_deg + north_m / per_north, self.lon_deg + east_m / per_east
 
     def to_local(self, lat_deg: float, lon_deg: float) -> tuple[float, float]:
         """(east_m, north_m)."""
-        per_east, per_north = self._metres_per_degree()
+        per_east, per_north = _metres_per_degree(self.lat_deg, self.alt_amsl_m)
         return remainder(lon_deg - self.lon_deg, 360) * per_east, (lat_deg - self.lat_deg) * per_north
+
+
+@lru_cache(maxsize=256)
+def _metres_per_degree(lat_deg: float, alt_amsl_m: float) -> tuple[float, float]:
+    """Lengths of one degree of longitude and of one degree of latitude there."""
+    lat = radians(lat_deg)
+    w2 = 1 - EARTH_E2 * sin(lat) ** 2
+    east = EARTH_A_M / sqrt(w2) + alt_amsl_m
+    north = EARTH_A_M * (1 - EARTH_E2) / w2**1.5 + alt_amsl_m
+    return radians(east) * max(cos(lat), 1e-6), radians(north)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +171,13 @@ class Motion(Body):
         self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
     ) -> None:
         """Move on by ``dt_s``. Without a setpoint the motors give no lift: it stays on the ground, or falls."""
+        if self.advance(dt_s, setpoint, limits):
+            self._tilt(dt_s)
+
+    def advance(
+        self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
+    ) -> bool:
+        """`step` without the lean, which a trajectory does not have. False: it lies on the ground."""
         # only the climb rate of an attitude counts
         if isinstance(setpoint, AttitudeSetpoint):
             setpoint = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
@@ -177,7 +187,7 @@ class Motion(Body):
             self.yaw_rate_radps = 0.0
             if self.on_ground:
                 self.rest()
-                return
+                return False
             self.vel_u_mps = max(self.vel_u_mps - GRAVITY_MPS2 * dt_s, -TERMINAL_MPS)
         else:
             if isinstance(setpoint, AccelerationSetpoint):
@@ -191,8 +201,8 @@ class Motion(Body):
             self.up_m = self.floor_m
             if self.vel_u_mps <= 0.0:
                 self.touch()
-                return
-        # place, acceleration and tilt
+                return False
+        # place and acceleration
         self.east_m += self.vel_e_mps * dt_s
         self.north_m += self.vel_n_mps * dt_s
         self.accel_enu_mps2 = (
@@ -200,7 +210,7 @@ class Motion(Body):
             (self.vel_n_mps - before[1]) / dt_s,
             (self.vel_u_mps - before[2]) / dt_s,
         )
-        self._tilt(dt_s)
+        return True
 
     def _steer(self, dt_s: float, setpoint: Setpoint, limits: Limits) -> None:
         east, north, up = setpoint.pos_enu_m

@@ -6,6 +6,7 @@ A take-off is [GoTo], a return is [GoTo (climb), GoTo (home), Wait, Land], a got
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import hypot
 from typing import assert_never
 
@@ -150,6 +151,17 @@ class Plan:
         return (None, limits) if leg is None else _steer(leg, motion, limits, now)
 
 
+@lru_cache(maxsize=256)
+def _place(east_m: float, north_m: float, up_m: float, yaw_rad: float | None) -> Setpoint:
+    """The setpoint of a `GoTo`, which is asked for with each tick of its leg; so are its limits."""
+    return Setpoint((east_m, north_m, up_m), yaw_rad=yaw_rad)
+
+
+@lru_cache(maxsize=256)
+def _with_climb(limits: Limits, climb_mps: float) -> Limits:
+    return replace(limits, climb_mps=climb_mps)
+
+
 def _finished(leg: Leg, motion: Body, now: float) -> bool:
     match leg:
         case GoTo(east_m, north_m, up_m):
@@ -183,8 +195,8 @@ def _steer(
     match leg:
         case GoTo(east_m, north_m, up_m, yaw_rad, climb_mps):
             if climb_mps is not None:
-                limits = replace(limits, climb_mps=climb_mps)
-            return Setpoint((east_m, north_m, up_m), yaw_rad=yaw_rad), limits
+                limits = _with_climb(limits, climb_mps)
+            return _place(east_m, north_m, up_m, yaw_rad), limits
         case Follow(setpoint):
             return setpoint, limits
         case Wait():

@@ -11,7 +11,7 @@ Measured on one desktop core (CPython 3.11): 13 µs a tick under an attitude set
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, atan2, cos, exp, hypot, inf, radians, sin, sqrt
+from math import asin, atan2, copysign, cos, exp, hypot, inf, radians, sin, sqrt
 
 from skygcs.sim.body import (
     GRAVITY_MPS2,
@@ -206,19 +206,20 @@ class Quad(Body):
         """Turn by a share of what is missing: first the tilt (a swing about a level axis), then the yaw (a twist)."""
         frame = self.airframe
         share = self._gains[1]
-        w, x, y, z = missing = _between(self.attitude_ned_frd, setpoint)
-        if missing[0] < 0.0:
+        q = self.attitude_ned_frd
+        w, x, y, z = quaternion_product((q[0], -q[1], -q[2], -q[3]), setpoint)  # about body axes, what is missing
+        if w < 0.0:
             w, x, y, z = -w, -x, -y, -z
         norm = hypot(w, z)
         tw, tz = (w / norm, z / norm) if norm > 1e-9 else (1.0, 0.0)
         sx, sy = x * tw - y * tz, y * tw + x * tz
         size = hypot(sx, sy)
         swing = 2.0 * atan2(size, norm) * share
-        if frame.attitude_lag_s > 0.0:
-            swing = min(swing, frame.tilt_rate_max_radps * h)
-        most = frame.yaw_rate_max_radps * h
-        twist = max(-most, min(most, 2.0 * atan2(tz, tw) * share))
-        q = self.attitude_ned_frd
+        if swing > frame.tilt_rate_max_radps * h and frame.attitude_lag_s > 0.0:
+            swing = frame.tilt_rate_max_radps * h
+        most, twist = frame.yaw_rate_max_radps * h, 2.0 * atan2(tz, tw) * share
+        if abs(twist) > most:
+            twist = copysign(most, twist)
         if size > 1e-12:
             half = sin(swing / 2.0) / size
             q = quaternion_product(q, (cos(swing / 2.0), sx * half, sy * half, 0.0))
@@ -257,8 +258,3 @@ def level(yaw_rad: float) -> Quaternion:
 def _share(h: float, lag_s: float) -> float:
     """Share of the way to the setpoint that a first-order lag goes in ``h``."""
     return 1.0 if lag_s <= 0.0 else 1.0 - exp(-h / lag_s)
-
-
-def _between(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation, about body axes, from one attitude to the other."""
-    return quaternion_product((a[0], -a[1], -a[2], -a[3]), b)

@@ -68,9 +68,11 @@ def step(v: VehicleState, now: float) -> None:
     v.logs.step(armed=v.armed)
     if v.shell is not None:
         v.shell.step(now)
-    for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
-        _send_param(v, v.param_queue.pop(0))
-    calibration.step(v, now)
+    if v.param_queue:
+        for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
+            _send_param(v, v.param_queue.pop(0))
+    if v.calibration is not None:
+        calibration.step(v, now)
 
 
 # -- commands

@@ -155,7 +155,7 @@ class Steering:
         if self._trajectory is None:
             self._trajectory = _begin(body)
         path = self._trajectory
-        path.step(dt_s, setpoint, limits)
+        path.advance(dt_s, setpoint, limits)
         if body.on_ground and path.vel_u_mps <= 0.0:
             self.restart()
             return None

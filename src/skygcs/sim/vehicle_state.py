@@ -528,7 +528,7 @@ class VehicleState(ABC):
         self.on_boot(now)
 
     def _watch_position(self, now: float) -> None:
-        if self.position_ok and not self._was_ready:
+        if not self._was_ready and self.position_ok:
             self._was_ready = True
             self.set_home_here()
             self.on_ready(now)

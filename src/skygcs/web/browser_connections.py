@@ -5,6 +5,8 @@
     handshake   done                                                -> HTTP
                 not within UNKNOWN_S                                -> closed
     HTTP        no cookie UNKNOWN_S after it was accepted           -> closed
+    HTTP        a browser has more than MAX_EACH, or those that     -> its or their oldest is closed, a WebSocket last
+                may only look have more than MAX_VIEW
 
 A connection has its place from the moment when it was accepted: one that never begins its handshake holds a descriptor,
 too. A flood of them keeps nobody out who is signed in.
@@ -24,6 +26,10 @@ from skygcs.core.token_bucket import TokenBucket
 
 MAX_CONNECTIONS = 128
 """A browser opens six and its WebSockets."""
+
+MAX_EACH, MAX_VIEW = 16, 96
+"""Connections of one browser, and of all that may only look: with a cookie a request may take as long as it likes, and
+onlookers keep nobody out who may order."""
 
 BACKLOG = 128
 
@@ -49,8 +55,10 @@ class _Place:
     def __init__(self, handler: RequestHandler, at: float) -> None:
         self.handler = handler
         self.at = at
-        self.known = False
-        """It has sent a valid cookie."""
+        self.browser: str | None = None
+        """Identity of its browser, once it has sent a valid cookie."""
+        self.may_order = False
+        self.websocket = False
         self.opening: asyncio.Task[None] | None = None
 
     @property
@@ -63,7 +71,7 @@ class _Place:
             self.opening.cancel()
         transport = self.handler.transport
         self.handler.force_close()
-        if isinstance(transport, asyncio.Transport):
+        if transport is not None:
             transport.abort()  # a close waits for the other side's end of TLS
 
 
@@ -119,23 +127,39 @@ class BrowserConnections:
         self._forget_closed()
         if len(self._places) >= self._limit:
             self.refused += 1
-            oldest = next((place for place in self._places.values() if not place.known), None)
+            oldest = next((place for place in self._places.values() if place.browser is None), None)
             if oldest is None:
                 return None
             self._drop(oldest)
         place = self._places[handler] = _Place(handler, now)
         return place
 
-    def know(self, handler: RequestHandler) -> None:
-        """The connection has sent a valid cookie."""
+    def know(self, handler: RequestHandler, browser: str, *, may_order: bool) -> None:
+        """The connection has sent a valid cookie of this browser."""
+        place = self._places.get(handler)
+        if place is None or place.browser is not None:
+            return
+        place.browser, place.may_order = browser, may_order
+        known = [p for p in self._places.values() if p.browser is not None and not p.closed]
+        own = [p for p in known if p.browser == browser]
+        onlookers = [p for p in known if not p.may_order]
+        if len(own) > MAX_EACH:
+            self.refused += 1
+            self._drop(_least_needed(own))
+        elif not may_order and len(onlookers) > MAX_VIEW:
+            self.refused += 1
+            self._drop(_least_needed(onlookers))
+
+    def hold_websocket(self, handler: RequestHandler) -> None:
+        """The connection becomes a WebSocket: a page, with its STOP. Others give way first."""
         place = self._places.get(handler)
         if place is not None:
-            place.known = True
+            place.websocket = True
 
     def sweep(self, now: float) -> None:
         """Close those that have shown nothing for too long."""
         self._forget_closed()
-        for place in [p for p in self._places.values() if not p.known and now - p.at > UNKNOWN_S]:
+        for place in [p for p in self._places.values() if p.browser is None and now - p.at > UNKNOWN_S]:
             self._drop(place)
 
     def _drop(self, place: _Place) -> None:
@@ -145,3 +169,8 @@ class BrowserConnections:
     def _forget_closed(self) -> None:
         for place in [p for p in self._places.values() if p.closed]:
             del self._places[place.handler]
+
+
+def _least_needed(places: list[_Place]) -> _Place:
+    """The oldest that is no WebSocket; of WebSockets alone the oldest. ``places`` are from old to new."""
+    return next((place for place in places if not place.websocket), places[0])

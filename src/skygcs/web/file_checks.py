@@ -76,7 +76,7 @@ def check_params(params: Mapping[str, Any]) -> dict[str, Any]:
     try:
         text = asked.file.content().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise RefusedError(f"{asked.file.name}: is not UTF-8 text, so it is no parameter file") from None
+        raise RefusedError(f"{asked.file.name}: is not UTF-8 text, so it is not a parameter file") from None
     file: ParamFile = parse(text, asked.file.name)
     include: tuple[Sort, ...] = tuple(sort for sort in SORTS if sort in asked.include)
     found = plan(file, _held(asked), sysid=asked.sysid, compid=asked.compid, stack=asked.autopilot, include=include)
@@ -98,7 +98,7 @@ def _held(asked: ParamsCheck) -> dict[str, Param]:
     for index, entry in enumerate(asked.params):
         kind = ParamType.__members__.get(entry.type)
         if kind is None:
-            raise RefusedError(f"params.{index}: {entry.type[:20]!r} is no type of parameter")
+            raise RefusedError(f"params.{index}: {entry.type[:20]!r} is not a type of parameter")
         whole = entry.value is not None and kind.integer and entry.value.is_integer()
         value = math.nan if entry.value is None else int(entry.value) if whole else entry.value
         held[entry.name] = Param(entry.name, value, kind)

@@ -16,8 +16,10 @@ from __future__ import annotations
 import asyncio
 import gzip
 import hashlib
+import os
 import socket
 import ssl
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,10 +29,12 @@ from aiohttp import WSMsgType, web
 from aiohttp.web_protocol import RequestHandler
 
 from skygcs.config.allow_list import AllowList
+from skygcs.config.files import open_regular
 from skygcs.web.browser_connections import BACKLOG, BrowserConnections
 from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage
 from skygcs.web.map_tiles import RETRY_S, MapTiles, TilesBusyError
+from skygcs.web.paced_handler import PacedHandler, pause_after_s
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.peer_user import is_own_user
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
@@ -76,7 +80,8 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _Asset:
-    mtime_ns: int
+    version: tuple[int, int, int]
+    """Device, inode and time of change of the file."""
     content_type: str
     body: bytes
     compressed: bytes | None
@@ -84,7 +89,11 @@ class _Asset:
 
 
 class Assets:
-    """Files of the built page, kept in memory; a file that has changed is read again."""
+    """Files of the built page, kept in memory; a file that has changed is read again.
+
+    Links are followed, of files and of the folder of assets: installers put links to their cache there (uv with
+    --link-mode=symlink). Nobody but the installer writes to the folder; who else could might change the program itself.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -98,20 +107,21 @@ class Assets:
         suffix = Path(parts[-1]).suffix
         if suffix not in TYPES or "\0" in name or "\\" in name:
             return None
-        path = self._folder / name
         try:
-            stat = path.stat(follow_symlinks=False)
-            kept = self._kept.get(name)
-            if kept is not None and kept.mtime_ns == stat.st_mtime_ns:
-                return kept
-            if stat.st_size > MAX_ASSET_BYTES:
-                return None
-            body = path.read_bytes()
+            with open_regular(self._folder / name) as file:
+                found = os.fstat(file.fileno())
+                version = (found.st_dev, found.st_ino, found.st_mtime_ns)
+                kept = self._kept.get(name)
+                if kept is not None and kept.version == version:
+                    return kept
+                body = file.read(MAX_ASSET_BYTES + 1)
         except OSError:
+            return None
+        if len(body) > MAX_ASSET_BYTES:
             return None
         compressed = gzip.compress(body, 9, mtime=0) if suffix in COMPRESSED else None
         etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
-        asset = self._kept[name] = _Asset(stat.st_mtime_ns, TYPES[suffix], body, compressed, etag)
+        asset = self._kept[name] = _Asset(version, TYPES[suffix], body, compressed, etag)
         return asset
 
 
@@ -131,7 +141,7 @@ class _PageSocket:
 
 
 class HttpServer:
-    """Serves `pages` at one listening socket. `start`, then `close`."""
+    """Serves `pages` at one listening socket. `start`, then `close`. ``clock``: of the sign-in."""
 
     def __init__(
         self,
@@ -139,7 +149,7 @@ class HttpServer:
         sign_in: SignIn,
         allowed: AllowList,
         *,
-        unix_time: Callable[[], float],
+        clock: Callable[[], float],
         on_sign_in: Callable[[], None],
         map_image: MapImage | None = None,
         map_tiles: MapTiles | None = None,
@@ -150,7 +160,7 @@ class HttpServer:
         self._pages = pages
         self._sign_in = sign_in
         self._allowed = allowed
-        self._unix_time = unix_time
+        self._clock = clock
         self._on_sign_in = on_sign_in
         self._map = map_image
         self._tiles = map_tiles
@@ -201,7 +211,7 @@ class HttpServer:
     def _new_handler(self) -> RequestHandler:
         server = self._runner.server
         assert server is not None
-        return server()
+        return PacedHandler(server)
 
     async def _sweep(self) -> None:
         while True:
@@ -262,11 +272,12 @@ class HttpServer:
     def _cookie(self, request: web.Request) -> tuple[str, Role] | None:
         """(identity, role) of a signed-in browser."""
         cookie = request.cookies.get(self.cookie_name, "")
-        role = self._sign_in.role_of(cookie, self._unix_time()) if cookie else None
+        role = self._sign_in.role_of(cookie, self._clock()) if cookie else None
         if role is None:
             return None
-        self.connections.know(request.protocol)
-        return self._sign_in.identity(cookie), role
+        identity = self._sign_in.identity(cookie)
+        self.connections.know(request.protocol, identity, may_order=role == "command")
+        return identity, role
 
     # -- what is served
 
@@ -279,7 +290,7 @@ class HttpServer:
 
     def _exchange(self, request: web.Request) -> web.StreamResponse:
         cookie = self._sign_in.exchange(
-            token_of(request.query["token"]), self._unix_time(), lambda: is_own_user(request.transport)
+            token_of(request.query["token"]), self._clock(), lambda: is_own_user(request.transport)
         )
         response = web.Response(status=303, headers={"Location": "/"})
         if cookie is None:  # an address is opened a second time by who is signed in
@@ -342,6 +353,7 @@ class HttpServer:
             return _plain(426, "this is a WebSocket")
         client = PageClient(self._pages, _PageSocket(ws, request), role, identity)
         clients[client] = None  # before the first await: the places are counted
+        self.connections.hold_websocket(request.protocol)
         try:
             await ws.prepare(request)
             sending = self._loop.create_task(_sending(client), name="page sending")
@@ -350,9 +362,10 @@ class HttpServer:
                     if message.type is not WSMsgType.TEXT:
                         await ws.close(code=1003, message=b"text only")
                         break
+                    began = time.thread_time()
                     client.on_message(message.data)
-                    if pause_s := client.pause_s(len(message.data)):
-                        await asyncio.sleep(pause_s)
+                    cost_s = time.thread_time() - began  # a message of many small parts costs ten times a text
+                    await asyncio.sleep(max(client.pause_s(len(message.data)), pause_after_s(cost_s)))
             finally:
                 sending.cancel()
         finally:

@@ -55,7 +55,7 @@ def read_map(path: Path, points: Sequence[Sequence[float]]) -> MapImage:
         raise SkygcsError(f"map {path}: the two points are at the same place on Earth")
     for point in (first, second):
         if not (abs(point.lat_deg) <= 90 and abs(point.lon_deg) <= 180):
-            raise SkygcsError(f"map {path}: {point.lat_deg}, {point.lon_deg} is no place on Earth")
+            raise SkygcsError(f"map {path}: {point.lat_deg}, {point.lon_deg} is not a place on Earth")
     try:
         with open_regular(path) as file:
             body = file.read(MAX_IMAGE_BYTES + 1)

@@ -210,7 +210,7 @@ def _fence_of(asked: FenceCheck, world: WorldMap) -> MissionPlan:
             tuple(FenceCircle(c.inclusion, world.lat_lon(c.center), c.radius_m) for c in drawn.circles),
         )
     except ValueError as error:
-        raise RefusedError(f"the drawing is no fence: {error}") from None
+        raise RefusedError(f"the drawing is not a fence: {error}") from None
     home = None
     if asked.home_xy_m is not None and asked.home_alt_amsl_m is not None:
         home = PlannedHome(*world.lat_lon(asked.home_xy_m), asked.home_alt_amsl_m)

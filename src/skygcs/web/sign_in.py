@@ -7,6 +7,10 @@
     token_of(text)     the token in an address that was typed or pasted
     sign_out()         nothing that was given out is good any more: a phone was lost
 
+``now`` is a clock that is never set and goes on while the computer sleeps: a computer without a battery for its clock
+gets the time after it has printed its address, and by that step would sign everybody out. Times across a restart are
+saved as time since the last use.
+
 Only digests are kept, so that neither a lookup's time nor the saved file gives a secret away.
 """
 
@@ -17,6 +21,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
+
+from skygcs.number_text import is_number
 
 Role = Literal["view", "command"]
 
@@ -111,16 +117,18 @@ class SignIn:
         self._cookies.clear()
         return count
 
-    def saved(self) -> dict[str, Any]:
-        """The cookies as digests, for a process that takes over from this one; JSON-able."""
-        return {key: [granted.role, granted.at] for key, granted in self._cookies.items()}
+    def saved(self, now: float) -> dict[str, Any]:
+        """The cookies as digests, each with its role and the seconds since its last use, for a process that takes over
+        from this one; JSON-able."""
+        return {key: [granted.role, round(now - granted.at, 1)] for key, granted in self._cookies.items()}
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; anything else in it is left out."""
+    def restore(self, saved: Mapping[str, Any], now: float, away_s: float = 0.0) -> None:
+        """Take over what `saved` returned ``away_s`` ago; anything else in it is left out."""
         for key, entry in list(saved.items())[:MAX_COOKIES]:
             match entry:
-                case ["view" | "command" as role, int() | float() as at] if isinstance(key, str) and len(key) == 64:
-                    self._cookies[key] = _Granted(role, float(at))
+                case ["view" | "command" as role, unused_s] if isinstance(key, str) and len(key) == 64:
+                    if is_number(unused_s):
+                        self._cookies[key] = _Granted(role, now - max(unused_s, 0.0) - max(away_s, 0.0))
 
 
 def token_of(text: str) -> str:

@@ -25,6 +25,7 @@ from skygcs.cancellation import ended
 from skygcs.config.allow_list import allow_list, check_address
 from skygcs.config.dialects import load_dialect
 from skygcs.config.extension_tables import installed_points
+from skygcs.config.files import boot_id, boot_s
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.errors import LinkError, RpcError, SkygcsError
@@ -54,6 +55,9 @@ from skygcs.web.state_batches import LatestStates
 from skygcs.web.tile_set import TileFileError
 
 SECRET_BYTES = 32
+
+SAVE_COOKIES_S = 3600.0
+"""When each browser was used last is saved so often, and whenever one signs in or out."""
 
 REPLAY_COOKIE = "skygcs_replay"
 """Cookie of all replays that a daemon starts, one after the other and each on another port. With a cookie for each, a
@@ -108,6 +112,8 @@ class WebProcess:
         self.tiles: MapTiles | None = None
         self.tiles_problem = ""
         self._stopping = asyncio.Event()
+        self._cookies: Path | None = None
+        """The file that keeps who is signed in over a restart."""
 
     # -- methods of its own
 
@@ -168,7 +174,7 @@ class WebProcess:
 
     def link(self, role: Role, own_user: bool = False) -> str:
         """A further address with its token. ``own_user``: to be opened in a browser of this user."""
-        return f"{self.base}/?token={self.sign_in.issue(role, time.time(), own_user=own_user)}"
+        return f"{self.base}/?token={self.sign_in.issue(role, boot_s(), own_user=own_user)}"
 
     @property
     def base(self) -> str:
@@ -184,16 +190,13 @@ class WebProcess:
         tls = _tls(options.tls_cert, options.tls_key)
         sock = _bound(options.host, options.port)
         self.port = sock.getsockname()[1]
-        cookies = None  # a free port is another one next time
-        if options.port:
-            cookies = Path(f"{control_path(_local_base(options.socket), self.port)}.cookies")
-            self.sign_in.restore(_read_cookies(cookies))
+        self._restore_cookies()
         http = HttpServer(
             self.pages,
             self.sign_in,
             allow_list(options.host, self.port, options.names, tls=tls is not None),
-            unix_time=time.time,
-            on_sign_in=lambda: _write_cookies(cookies, self.sign_in.saved()),
+            clock=boot_s,
+            on_sign_in=self._save_cookies,
             map_image=options.map_image,
             map_tiles=self.tiles,
         )
@@ -201,16 +204,17 @@ class WebProcess:
         def sign_out() -> int:
             count = self.sign_in.sign_out()
             self.pages.close_pages()
-            _write_cookies(cookies, self.sign_in.saved())
+            self._save_cookies()
             return count
 
         # the control socket first: a second process of the same port ends there
         control = ControlSocket(control_path(_local_base(options.socket), self.port), self.link, sign_out)
-        feeding = None
+        feeding = saving = None
         try:
             await control.start()
             await http.start(sock, tls)
             feeding = asyncio.create_task(self.source.run(self.pages), name="source of states")
+            saving = asyncio.create_task(self._save_cookies_often(), name="saving of cookies")
             if on_ready is not None:
                 on_ready(self)
             # until somebody stops it, or the source of states fails
@@ -220,6 +224,8 @@ class WebProcess:
             if feeding.done():
                 feeding.result()
         finally:
+            if saving is not None:
+                saving.cancel()
             if feeding is not None:
                 self.source.stopping = True
                 await ended(feeding)
@@ -228,8 +234,23 @@ class WebProcess:
             await control.close()
             if self.tiles is not None:
                 self.tiles.close()
-            _write_cookies(cookies, self.sign_in.saved())
+            self._save_cookies()
             sock.close()
+
+    def _restore_cookies(self) -> None:
+        if self.options.port:  # a free port is another one next time
+            self._cookies = Path(f"{control_path(_local_base(self.options.socket), self.port)}.cookies")
+            self.sign_in.restore(*_read_cookies(self._cookies))
+
+    def _save_cookies(self) -> None:
+        if self._cookies is not None:
+            _write_cookies(self._cookies, self.sign_in.saved(boot_s()))
+
+    async def _save_cookies_often(self) -> None:
+        """After a crash a browser that was used all the time must not count as unused since it signed in."""
+        while True:
+            await asyncio.sleep(SAVE_COOKIES_S)
+            self._save_cookies()
 
     async def _open_tiles(self) -> None:
         """Open the map's tiles, if there are some. Raises TileFileError where a person started the process by hand."""
@@ -317,30 +338,36 @@ def _tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
     return context
 
 
-def _read_cookies(path: Path) -> dict[str, Any]:
-    """Return what an earlier process on this port saved; {} if nothing was saved or other users could have written
-    it."""
+def _read_cookies(path: Path) -> tuple[dict[str, Any], float, float]:
+    """Return what an earlier process on this port saved, the time now, and how long ago it was saved; {} if nothing was
+    saved or other users could have written it."""
+    now, nothing = boot_s(), dict[str, Any]()
     try:
         stat = path.stat(follow_symlinks=False)
         if stat.st_uid != os.geteuid() or stat.st_mode & 0o077 or stat.st_size > 1 << 20:
-            return {}
+            return nothing, now, 0.0
         saved = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return saved if isinstance(saved, dict) else {}
+    except (OSError, ValueError, RecursionError):
+        return nothing, now, 0.0
+    match saved:
+        case {"boot_id": boot, "saved_at_s": saved_at_s, "browsers": dict(browsers)} if is_number(saved_at_s):
+            if boot and boot == boot_id():
+                return browsers, now, now - saved_at_s
+            # only here the wall clock counts: two starts of the computer have no other one in common
+            return browsers, now, time.time() - stat.st_mtime
+        case _:
+            return nothing, now, 0.0
 
 
-def _write_cookies(path: Path | None, saved: dict[str, Any]) -> None:
+def _write_cookies(path: Path, browsers: dict[str, Any]) -> None:
     """Whole or not at all, 0600. Without a disk for it, browsers sign in again after a restart."""
-    if path is None:
-        return
     temporary = path.with_name(path.name + ".new")
     try:
         with contextlib.suppress(FileNotFoundError):
             temporary.unlink()
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         with open(handle, "w") as file:
-            json.dump(saved, file)
+            json.dump({"boot_id": boot_id(), "saved_at_s": boot_s(), "browsers": browsers}, file)
         temporary.replace(path)
     except OSError as error:
         if path.parent.exists():  # else the folder of the socket is gone, as after a demo: no process will look here

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.control.docs_tables import differences, write_tables
+from bench.control.docs_tables import ON_THE_PAGE, differences, write_tables
 from bench.control.figures import Section, virtual_sections
 from bench.control.fleet import ROOT, Load, carry
 from bench.control.fleet_report import fleet_section
@@ -50,7 +50,8 @@ def main() -> int:
         moving = []
         for section in moving_sections():
             _show(section, told, missed)
-            moving.append(section)
+            if section.key in ON_THE_PAGE:
+                moving.append(section)
         if options.write_docs:
             write_tables(DOCS, moving)
         else:

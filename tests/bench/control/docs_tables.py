@@ -9,6 +9,8 @@ from bench.control.figures import Section
 
 BEGIN = "<!-- {key}: written by make bench-control -->"
 END = "<!-- end of {key} -->"
+ON_THE_PAGE = ("circle", "paths", "wrong_delay")
+"""Keys of the sections with a table there; the verdict of the others is whether they keep their limits."""
 
 
 def write_tables(page: Path, sections: Iterable[Section]) -> None:

@@ -181,10 +181,7 @@ async def _take_over(gcs: Client) -> None:
 
 
 def _summary(
-    load: Load,
-    samples: list[_Sample],
-    states: tuple[list[dict[str, Any]], list[dict[str, Any]]],
-    noted: bytes,
+    load: Load, samples: list[_Sample], states: tuple[list[dict[str, Any]], list[dict[str, Any]]], noted: bytes
 ) -> Carried:
     times = array("d", noted)
     ticks = [(begun, 1e3 * max(0.0, begun - due)) for due, begun in zip(times[::3], times[1::3], strict=True)]

@@ -6,7 +6,6 @@ All in build/bench/formation.json. python -m bench.formation [--encounters N] [-
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
@@ -18,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.monitor.virtual import in_virtual_time
+from bench.results import keep
 from support.formation_encounters import Outcome, encounter
 from support.led_formation import led_formation
 
 ROOT = Path(__file__).resolve().parents[3]
-OUT = ROOT / "build" / "bench" / "formation.json"
 SECONDS = 60.0
 SHARE = 20
 
@@ -39,7 +38,7 @@ def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
         for share in pool.map(_fly, shares):
             outcomes += share
             told["encounters"] = summary(outcomes)
-            _write(told)
+            keep("formation", told)
     for name, value in told["encounters"].items():
         print(f"{name:>34}  {value}", flush=True)
     lost = [o for o in outcomes if o.references_m < 0.0 or o.vehicles_m < 0.0]
@@ -68,11 +67,6 @@ def _share(found: Iterable[bool]) -> float:
     return round(100 * sum(values) / len(values), 2)
 
 
-def _write(told: dict[str, Any]) -> None:
-    OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps(told, indent=2) + "\n")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.formation")
     parser.add_argument("--encounters", type=int, default=10_000)
@@ -92,7 +86,7 @@ def main() -> int:
         faults.append("the formation behind a leader stopped")
     faults += encounters(given.encounters, given.jobs, told)
     told["faults"] = faults
-    _write(told)
+    keep("formation", told)
     print("\n".join(faults[:20]) or "no fault")
     return 1 if faults else 0
 

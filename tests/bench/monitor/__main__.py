@@ -6,7 +6,6 @@ python -m bench.monitor [--only encounters|formation|cost|lateness] [--encounter
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -18,10 +17,10 @@ from bench.monitor.cost import cost_rows
 from bench.monitor.formation import fly_formation
 from bench.monitor.lateness import lateness_rows
 from bench.monitor.virtual import in_virtual_time
+from bench.results import OUT, keep
 from support.encounters import Judged, judge, rows
 
 ROOT = Path(__file__).resolve().parents[3]
-OUT = ROOT / "build" / "bench"
 LEAST_AHEAD_S = 5.0
 SHARE = 10
 """Encounters flown with one daemon."""
@@ -32,11 +31,6 @@ def _judge(seeds: list[int]) -> list[Judged]:
         return in_virtual_time(judge(seeds, Path(folder)))
 
 
-def _write(told: dict[str, Any]) -> None:
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "monitor.json").write_text(json.dumps(told, indent=2) + "\n")
-
-
 def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
     shares = [list(range(begin, min(begin + SHARE, count))) for begin in range(0, count, SHARE)]
     judged: list[Judged] = []
@@ -44,7 +38,7 @@ def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
         for share in pool.map(_judge, shares):
             judged += share
             told["encounters"] = [one.as_dict() for one in judged]
-            _write(told)  # 200 take an hour on a busy machine, and may be ended before
+            keep("monitor", told)  # 200 take an hour on a busy machine, and may be ended before
     for row in rows(judged):
         print(row, flush=True)
     missed = [f"seed {o.encounter.seed}: a hold would have prevented it" for o in judged if o.preventable]
@@ -106,7 +100,7 @@ def main() -> int:
     if options.only in (None, "formation"):
         missed += formation(told)
     told |= {"missed": missed, "seconds": round(time.monotonic() - began, 1)}
-    _write(told)
+    keep("monitor", told)
     print(f"\n{told['seconds']:.0f} s; all of it in {OUT / 'monitor.json'}")
     for what in missed:
         print(f"MISSED: {what}")

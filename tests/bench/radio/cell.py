@@ -13,15 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bench.commanded_daemon import (
-    PARAMETERS,
-    Column,
-    CommandedDaemon,
-    Measured,
-    Quiet,
-    furnish,
-    in_virtual_time,
-)
+from bench.commanded_daemon import PARAMETERS, Column, CommandedDaemon, Measured, Quiet, furnish, in_virtual_time
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame

@@ -57,7 +57,7 @@ RECORDER = """
 FRAMES = """
 (seconds) => new Promise((resolve) => {
   const times = [];
-  const view = document.querySelector("canvas");
+  const view = document.querySelector(".canvasbox canvas[role=img]");
   const box = view.getBoundingClientRect();
   let n = 0;
   const step = (now) => {

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.control.docs_tables import BEGIN, END, differences, write_tables
+from bench.control.docs_tables import BEGIN, END, ON_THE_PAGE, differences, write_tables
 from bench.control.figures import Section
 from bench.control.moving import Path3, circle, figure_of_eight, rounded_square, sharp_square
 from support.table import each
 
 PAGE = Path(__file__).parents[3] / "docs" / "developers" / "control-figures.md"
-KEYS = ("circle", "paths", "wrong_delay", "climb", "uplink_step", "loss", "rates", "entry")
 STEP_S = 1e-4
 
 
@@ -56,7 +55,7 @@ def test_a_page_without_a_place_is_refused(tmp_path: Path) -> None:
         write_tables(page, [a_section()])
 
 
-@each("key", KEYS)
+@each("key", ON_THE_PAGE)
 def test_the_docs_have_every_table(key: str) -> None:
     text = PAGE.read_text()
     table = text.partition(BEGIN.format(key=key))[2].partition(END.format(key=key))[0]

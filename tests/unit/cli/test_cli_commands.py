@@ -2,67 +2,29 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer.main
-from typer.testing import CliRunner
 
 from skygcs.cli import orders
 from skygcs.cli.main import app
 from skygcs.cli.origin import zero_in_the_air
 from skygcs.events import Event
 from skygcs.rpc.client import EVENT_KINDS
-from skygcs.rpc.server import RpcServer
+from support.command_line import Served, said
 from support.fake_daemon import FakeDaemon, FakeOutcome
 from support.table import each
 
 DONE, FAILED, USAGE, UNREACHABLE = 0, 1, 2, 3
 
 
-class Fleet:
-    """A served fake daemon on a loop of its own, and the command line in this thread."""
-
-    def __init__(self, folder: Path, token: str | None = None) -> None:
-        self.socket = folder / "s.sock"
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever)
-        self._thread.start()
-        self.daemon = FakeDaemon()
-        self._server = RpcServer(self.daemon, self.socket, tcp_port=None if token is None else 0, token=token)
-        self._do(self._server.start())
-
-    def _do(self, coroutine: Any) -> None:
-        asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(10)
-
-    @property
-    def tcp_address(self) -> str:
-        assert self._server.tcp_address is not None
-        return f"tcp://127.0.0.1:{self._server.tcp_address[1]}"
-
-    def later(self, delay_s: float, action: Callable[[], None]) -> None:
-        self._loop.call_soon_threadsafe(self._loop.call_later, delay_s, action)
-
-    def close(self) -> None:
-        self._do(self._server.close())
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
-
-    def run(self, *args: str, code: int = DONE) -> str:
-        """stdout and stderr of a command that must exit with ``code``."""
-        result = CliRunner().invoke(app, ["--socket", str(self.socket), *args])
-        assert result.exit_code == code, result.output + repr(result.exception)
-        assert "Traceback" not in result.output
-        return result.output
-
-    def json(self, *args: str, code: int = DONE) -> Any:
-        return json.loads(self.run(*args, "--json", code=code))
+class Fleet(Served[FakeDaemon]):
+    def __init__(self, folder: Path, **server: Any) -> None:
+        super().__init__(folder, FakeDaemon(), **server)
 
     def order(self, *args: str) -> tuple[str, dict[str, Any]]:
         """What alpha was ordered."""
@@ -71,11 +33,9 @@ class Fleet:
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    fleet = Fleet(tmp_path)
-    yield fleet
-    fleet.close()
+def fleet(tmp_path: Path) -> Iterator[Fleet]:
+    with Fleet(tmp_path) as fleet:
+        yield fleet
 
 
 def test_a_range_names_the_ids_that_no_vehicle_has(fleet: Fleet) -> None:
@@ -154,7 +114,7 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
     assert [o["ok"] for o in outcomes.values()] == [True, False]
 
 
-@pytest.mark.parametrize(
+@each(
     ("args", "code", "text"),
     [
         (["arm", "9"], FAILED, "no vehicle '9'; there are: alpha, bravo, carol"),
@@ -327,23 +287,19 @@ def test_any_method_can_be_called_and_all_are_listed(fleet: Fleet) -> None:
 def test_no_daemon_at_the_socket_is_exit_code_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
     for args in (["status"], ["arm", "all"], ["watch"], ["links"], ["message", "list"], ["call", "daemon.info"]):
-        result = CliRunner().invoke(app, [*args, "--socket", str(tmp_path / "nobody")])
-        assert result.exit_code == UNREACHABLE, args
-        assert "no skygcs daemon at" in result.output and "skygcs run" in result.output
+        text = said(*args, "--socket", tmp_path / "nobody", code=UNREACHABLE)
+        assert "no skygcs daemon at" in text and "skygcs run" in text
 
 
 def test_a_token_file_that_cannot_be_read_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SKYGCS_TOKEN_FILE", "restored after the test")
-    result = CliRunner().invoke(app, ["status", "--token-file", str(tmp_path / "none")])
-    assert result.exit_code == FAILED and "token file" in result.output
+    assert "token file" in said("status", "--token-file", tmp_path / "none", code=FAILED)
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:abc", "http://127.0.0.1:80", "tcp://:5", "tcp://h:99999"])
+@each("address", ["tcp://127.0.0.1:abc", "http://127.0.0.1:80", "tcp://:5", "tcp://h:99999"])
 def test_a_wrong_address_is_a_usage_error(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
-    result = CliRunner().invoke(app, ["status", "--socket", address])
-    assert result.exit_code == USAGE
-    assert "tcp://HOST:PORT" in result.output
+    assert "tcp://HOST:PORT" in said("status", "--socket", address, code=USAGE)
 
 
 def test_a_token_that_is_missing_or_wrong_is_reported_with_what_to_do(
@@ -351,19 +307,16 @@ def test_a_token_that_is_missing_or_wrong_is_reported_with_what_to_do(
 ) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
     monkeypatch.setenv("SKYGCS_TOKEN_FILE", "")
-    fleet = Fleet(tmp_path, token="open sesame")
-    try:
-        missing = CliRunner().invoke(app, ["status", "--socket", fleet.tcp_address])
-        assert missing.exit_code == FAILED
-        assert "the daemon requires a token: --token-file FILE" in missing.output
-        (tmp_path / "token").write_text("open barley")
+    with Fleet(tmp_path, tcp_port=0, token="open sesame") as fleet:
+        assert fleet.server.tcp_address is not None
+        address = f"tcp://127.0.0.1:{fleet.server.tcp_address[1]}"
+        missing = said("status", "--socket", address, code=FAILED)
+        assert "the daemon requires a token: --token-file FILE" in missing
+        token = tmp_path / "token"
+        token.write_text("open barley")
         for command in ("status", "watch"):
-            args = [command, "--socket", fleet.tcp_address, "--token-file", str(tmp_path / "token")]
-            wrong = CliRunner().invoke(app, args)
-            assert wrong.exit_code == FAILED
-            assert f"the token in {tmp_path / 'token'} is wrong" in wrong.output
-    finally:
-        fleet.close()
+            wrong = said(command, "--socket", address, "--token-file", token, code=FAILED)
+            assert f"the token in {token} is wrong" in wrong
 
 
 def test_json_is_taken_wherever_it_stands(fleet: Fleet) -> None:
@@ -374,8 +327,7 @@ def test_json_is_taken_wherever_it_stands(fleet: Fleet) -> None:
 
 @each("args", [["--help"], ["goto", "-h"], ["message", "send", "--help"], ["links", "-h"], ["tlog", "-h"]])
 def test_help_is_there_without_a_daemon(args: list[str]) -> None:
-    result = CliRunner().invoke(app, args)
-    assert result.exit_code == DONE and "Usage" in result.output
+    assert "Usage" in said(*args)
 
 
 def test_an_unforeseen_error_is_one_line(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -392,8 +344,8 @@ def test_every_command_is_in_the_reference() -> None:
     names = [f"{name} {sub}" for name, group in commands.items() for sub in getattr(group, "commands", {})]
     assert len(commands) > 30 and len(names) > 40
     assert [name for name in commands if f"`{name}" not in page] == []
-    # each command of a group is in the row of the group, also in short forms: `mission pause`, `resume TARGETS`
-    rows = [line for line in page.splitlines() if line.startswith("|")]
+    # each command of a group is in an item of the group, also in short forms: `mission pause`, `resume TARGETS`
+    rows = page.split("\n- ")
     missing = [n for n in names if not any(f"`{n.split()[0]}" in r and f"{n.split()[1]}" in r for r in rows)]
     assert missing == []
 
@@ -417,7 +369,5 @@ def test_a_person_sees_which_vehicles_fall_and_types_the_word(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch, typed: str, code: int, ordered: int
 ) -> None:
     monkeypatch.setattr(orders, "_has_terminal", lambda: True)
-    result = CliRunner().invoke(app, ["--socket", str(fleet.socket), "stop", "alpha", "kill"], input=typed)
-    assert result.exit_code == code, result.output
-    assert "the motors of alpha" in result.output
+    assert "the motors of alpha" in fleet.run("stop", "alpha", "kill", code=code, typed=typed)
     assert len(fleet.daemon.vehicle("alpha").orders) == ordered

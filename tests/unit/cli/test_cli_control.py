@@ -14,7 +14,7 @@ from skygcs.cli import render
 from skygcs.cli.control import TRACK_COLUMNS, track_cells, track_line, track_table
 from skygcs.cli.main import app
 from skygcs.core.control.trace import COLUMNS
-from support.controlled import FLYING, OFF, Commanded, commanded
+from support.controlled import FLYING, OFF, Commanded
 from support.fake_daemon import FakeOutcome
 from support.flown_trace import flown_trace
 from support.table import each
@@ -23,9 +23,8 @@ DONE, FAILED, USAGE = 0, 1, 2
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    with commanded(tmp_path) as fleet:
+def fleet(tmp_path: Path) -> Iterator[Commanded]:
+    with Commanded(tmp_path) as fleet:
         yield fleet
 
 
@@ -211,9 +210,7 @@ def test_a_cut_line_is_reported_and_left_out(trace: Path) -> None:
     assert text.startswith("line 1507 is incomplete") and "1,424 steps, all bit-identical" in text
 
 
-@pytest.mark.parametrize(
-    ("content", "word"), [(b"", "no line of columns"), (b"\xff\x00" * 9000, "longer than 16384"), (b"a,b\n", ":1: ")]
-)
+@each(("content", "word"), [(b"", "no line of columns"), (b"\xff\x00" * 9000, "longer than 16384"), (b"a,b\n", ":1: ")])
 def test_what_is_no_trace_is_one_line(tmp_path: Path, content: bytes, word: str) -> None:
     path = tmp_path / "x.csv"
     path.write_bytes(content)

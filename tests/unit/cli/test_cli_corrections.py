@@ -28,7 +28,7 @@ from skygcs.cli.corrections import (
 )
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.errors import DaemonUnreachable, RefusedError
-from support.controlled import Commanded, commanded
+from support.controlled import Commanded
 from support.rtcm import STANDARD_1005, rtcm_frame
 from support.table import each
 
@@ -92,12 +92,7 @@ async def test_a_problem_that_a_person_can_solve_is_reported_once() -> None:
     stream, told = stream_of(client)
     for _ in range(7):
         await stream.send(b"x")
-    assert told == [
-        corrections.NO_LINK,
-        corrections.LINK_AGAIN,
-        corrections.NOT_TAKEN,
-        corrections.TOO_LONG,
-    ]
+    assert told == [corrections.NO_LINK, corrections.LINK_AGAIN, corrections.NOT_TAKEN, corrections.TOO_LONG]
 
 
 async def test_a_stream_of_something_else_is_reported() -> None:
@@ -146,9 +141,8 @@ TAKEN = {**NOTHING, "messages": 1, "bytes": 25, "types": {"1005": 1}, "links": 1
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    with commanded(tmp_path) as fleet:
+def fleet(tmp_path: Path) -> Iterator[Commanded]:
+    with Commanded(tmp_path) as fleet:
         fleet.daemon.corrections.answer = dict(TAKEN)
         yield fleet
 
@@ -193,7 +187,7 @@ def test_a_terminal_brings_no_corrections(fleet: Commanded) -> None:
     assert fleet.daemon.corrections == []
 
 
-@pytest.mark.parametrize("args", [("--rate", "1"), ("--rate", "nan"), ("--every", "0")])
+@each("args", [("--rate", "1"), ("--rate", "nan"), ("--every", "0")])
 def test_a_wrong_option_is_a_usage_error_that_names_it(fleet: Commanded, args: tuple[str, ...]) -> None:
     assert args[0] in fleet.run("corrections", "send", "/dev/null", *args, code=USAGE)
 
@@ -284,10 +278,7 @@ def test_the_status_begins_with_the_daemons_own_source() -> None:
             {**OWN, "gga": {"from": None, "sent": 0, "age_s": None}},
             "  no position sent to it yet: no vehicle has a fix",
         ),
-        (
-            {**OWN, "state": "down", "gga": {"from": None, "sent": 0, "age_s": None}},
-            "  no position sent to it yet",
-        ),
+        ({**OWN, "state": "down", "gga": {"from": None, "sent": 0, "age_s": None}}, "  no position sent to it yet"),
         (
             {**RECEIVER, "survey": SURVEY},
             "  survey-in running: 120 s of at least 300 s, 3.23 m of 2 m, 1,120 observations",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,15 +12,13 @@ from typer.testing import CliRunner
 from skygcs.cli.main import app
 from skygcs.core.params.names import SORTS
 from skygcs.core.radio_link.capacity import PROFILES, SETPOINTS
+from support.command_line import said
 from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 
 
-def run(*args: str, code: int = DONE) -> str:
-    result = CliRunner().invoke(app, ["link", "plan", *args])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    return result.output
+run = partial(said, "link", "plan")
 
 
 def test_what_fits_is_shown_with_its_shares() -> None:

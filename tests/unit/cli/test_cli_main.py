@@ -77,7 +77,7 @@ def test_several_targets_with_blanks_get_a_proposal() -> None:
     assert error.exit_code == 2 and "several targets are one word: d01,d02,d03" in json.loads(error.stderr)["error"]
 
 
-@pytest.mark.parametrize("line", ["land x", "land d01 d02", "goto a b", "nonsense", "param set 1"])
+@each("line", ["land x", "land d01 d02", "goto a b", "nonsense", "param set 1"])
 def test_errors_are_json_where_json_is_asked_for(line: str, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["--socket", str(tmp_path / "no"), *line.split(), "--json"])
     assert result.exit_code in (2, 3) and result.stdout == ""
@@ -101,7 +101,7 @@ HEAVY = ("numpy", "matplotlib", "pydantic", "serial", "pymavlink", "pyarrow", "u
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(
+@each(
     ("line", "module"), [("param cancel --help", "params"), ("--socket /x arm --help", "orders"), ("links -h", "links")]
 )
 def test_a_line_imports_the_module_of_its_command_only(line: str, module: str) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,8 +14,9 @@ from skygcs.cli.main import app
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
-from skygcs.rpc.server import RpcServer
+from support.command_line import Served
 from support.fake_daemon import FakeDaemon, FakeOutcome
+from support.table import each
 
 DONE, FAILED, USAGE, UNREACHABLE = 0, 1, 2, 3
 PLAN = MissionPlan(
@@ -28,30 +27,10 @@ PLAN = MissionPlan(
 WPL = "QGC WPL 110\n0 1 0 16 0 0 0 0 43.78 -79.46 180 1\n1 0 3 22 0 0 0 0 43.78 -79.46 10 1\n"
 
 
-class Site:
-    """A served fake daemon on a loop of its own."""
-
+class Site(Served[FakeDaemon]):
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.socket = folder / "s.sock"
-        self.loop = asyncio.new_event_loop()
-        self.thread = threading.Thread(target=self.loop.run_forever)
-        self.thread.start()
-        self.daemon = FakeDaemon()
-        self.server = RpcServer(self.daemon, self.socket)
-        asyncio.run_coroutine_threadsafe(self.server.start(), self.loop).result(10)
-
-    def close(self) -> None:
-        asyncio.run_coroutine_threadsafe(self.server.close(), self.loop).result(10)
-        self.loop.call_soon_threadsafe(self.loop.stop)
-        self.thread.join()
-        self.loop.close()
-
-    def run(self, *args: object, code: int = DONE) -> str:
-        result = CliRunner().invoke(app, ["--socket", str(self.socket), *map(str, args)])
-        assert result.exit_code == code, result.output + repr(result.exception)
-        assert "Traceback" not in result.output
-        return result.output
+        super().__init__(folder, FakeDaemon())
 
     def when_followed(self, happen: Callable[[], None]) -> None:
         """Do it as soon as somebody follows the events."""
@@ -75,9 +54,8 @@ class Site:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[Site]:
-    opened = Site(tmp_path)
-    yield opened
-    opened.close()
+    with Site(tmp_path) as site:
+        yield site
 
 
 def test_a_plan_is_uploaded_with_the_lists_that_it_holds(site: Site) -> None:
@@ -110,7 +88,7 @@ def test_a_refused_upload_is_reported_per_vehicle_and_fails(site: Site) -> None:
     assert "FAIL" in said and "mission item 2: too far" in said
 
 
-@pytest.mark.parametrize(("name", "lists"), [("a.plan", ()), ("a.waypoints", ("--only", "mission"))])
+@each(("name", "lists"), [("a.plan", ()), ("a.waypoints", ("--only", "mission"))])
 def test_what_is_downloaded_is_written_in_the_format_of_its_name(site: Site, name: str, lists: tuple[str, ...]) -> None:
     site.daemon.vehicle("alpha").stored_plan = PLAN
     path = site.folder / name
@@ -137,7 +115,7 @@ def test_a_failed_download_writes_nothing(site: Site) -> None:
     assert not path.exists()
 
 
-@pytest.mark.parametrize(
+@each(
     ("args", "order"),
     [
         (("mission", "clear", "alpha"), ("clear_plan", {"kinds": (MissionType.MISSION,), "force": False})),

@@ -36,14 +36,8 @@ def line(held: tuple[MissionItem, ...], state: str, sent: tuple[MissionItem, ...
         (line(OLD, "unchanged"), "holds 6 mission items, not those of new.plan: as before"),
         (line((NEW[0], *OLD[1:]), "unchanged"), "holds 6 mission items, not those of new.plan: as before"),
         (line(OLD, "partial"), "holds 6 mission items, not those of new.plan; check it before you fly"),
-        (
-            line((*NEW[:2], *OLD[2:]), "partial"),
-            "holds 6 mission items: the first 2 are of new.plan, the other 4",
-        ),
-        (
-            line(NEW[:1], "partial"),
-            "holds 1 mission item: the first is of new.plan, 3 are missing; do not fly",
-        ),
+        (line((*NEW[:2], *OLD[2:]), "partial"), "holds 6 mission items: the first 2 are of new.plan, the other 4"),
+        (line(NEW[:1], "partial"), "holds 1 mission item: the first is of new.plan, 3 are missing; do not fly"),
         (line((), "unknown"), "holds no mission"),
         (line(NEW, "partial", (CAMERA, *NEW)), "holds the whole mission of new.plan"),  # as this firmware takes it
         (line((), "partial", items=None, why="no answer"), "cancelled; whatever; reading what it holds failed: no"),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pytest
-from typer.testing import CliRunner
-
-from skygcs.cli.main import app
+from support.command_line import said
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 MISSION = [
@@ -19,10 +18,7 @@ MISSION = [
 ]
 
 
-def run(*args: str | Path, code: int = DONE) -> str:
-    result = CliRunner().invoke(app, [str(arg) for arg in args])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    return result.output
+run = partial(said)
 
 
 def waypoints(folder: Path, *rows: str) -> Path:
@@ -62,7 +58,7 @@ def test_json_holds_items_and_findings(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("content", [None, b"\xff\xfe", b'{"a": 1,', b"QGC WPL 110\n1 2 3"])
+@each("content", [None, b"\xff\xfe", b'{"a": 1,', b"QGC WPL 110\n1 2 3"])
 def test_json_of_a_file_that_cannot_be_read_is_json(tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "a.plan"
     if content is not None:
@@ -74,7 +70,7 @@ def test_json_of_a_file_that_cannot_be_read_is_json(tmp_path: Path, content: byt
     assert finding["severity"] == "error" and str(path) in finding["text"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "said"),
     [
         (("--max-height", "5"), "over the limit of 5 m"),
@@ -92,7 +88,7 @@ def test_a_good_plan_has_no_problem(tmp_path: Path) -> None:
     assert said.endswith("no problem found\n")
 
 
-@pytest.mark.parametrize("options", [("--max-height", "nan"), ("--vehicle", "1"), ("--vehicle", "91,0")])
+@each("options", [("--max-height", "nan"), ("--vehicle", "1"), ("--vehicle", "91,0")])
 def test_a_wrong_option_is_usage(tmp_path: Path, options: tuple[str, ...]) -> None:
     run("mission", "check", waypoints(tmp_path, *MISSION), *options, code=USAGE)
 
@@ -141,7 +137,7 @@ SURVEYED = (
 )
 
 
-@pytest.mark.parametrize(
+@each(
     ("autopilot", "line"),
     [
         ("px4", "  changed  mission item 4: the position of NAV_RETURN_TO_LAUNCH"),

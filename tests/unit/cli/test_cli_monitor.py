@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.cli.status import armed_word
-from support.controlled import Commanded, commanded
+from support.controlled import Commanded
 
 CONFLICT = {
     "vehicles": ["alpha", "bravo"],
@@ -26,7 +26,7 @@ CONFLICT = {
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Commanded]:
-    with commanded(tmp_path) as running:
+    with Commanded(tmp_path) as running:
         yield running
 
 

@@ -25,11 +25,10 @@ SKYGCS_CLI = (sys.executable, "-c", "from skygcs.cli.main import main; main()")
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Fleet]:
     """alpha never answers, bravo accepts, carol refuses."""
-    fleet = Fleet(tmp_path)
-    fleet.daemon.vehicle("alpha").delay_s = 3600.0
-    fleet.daemon.vehicle("carol").outcome = FakeOutcome(False, "denied", "denied: requires position")
-    yield fleet
-    fleet.close()
+    with Fleet(tmp_path) as fleet:
+        fleet.daemon.vehicle("alpha").delay_s = 3600.0
+        fleet.daemon.vehicle("carol").outcome = FakeOutcome(False, "denied", "denied: requires position")
+        yield fleet
 
 
 def started(fleet: Fleet, *args: str) -> subprocess.Popen[str]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,11 @@ from skygcs.cli.main import app
 from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.param_file import parse
 from skygcs.core.protocols.parameter import ParamOutcome
-from skygcs.rpc.server import RpcServer
 from skygcs.runtime.param_transfers import Loaded
+from support.command_line import Served, said
 from support.fake_daemon import FakeDaemon
 from support.shipped_metadata import shipped_metadata
+from support.table import each
 
 HELD = (
     Param("COMPASS_OFS_X", 4.5),
@@ -78,67 +78,47 @@ class FakeParams:
         return 2
 
 
-class Served:
-    """A served fake daemon on a loop of its own; alpha has parameters."""
+class Held(Served[FakeDaemon]):
+    """alpha has parameters."""
 
     def __init__(self, folder: Path) -> None:
-        self.socket = folder / "s.sock"
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever)
-        self._thread.start()
-        daemon = FakeDaemon()
-        self.alpha = daemon.vehicle("alpha")
+        super().__init__(folder, FakeDaemon())
+        self.alpha = self.daemon.vehicle("alpha")
         self.params = self.alpha.params = FakeParams()
         self.alpha.metadata = shipped_metadata("ardupilot")
-        self._server = RpcServer(daemon, self.socket, tcp_port=None, token=None)
-        asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result(10)
 
-    def close(self) -> None:
-        asyncio.run_coroutine_threadsafe(self._server.close(), self._loop).result(10)
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
-
-    def run(self, *args: str, code: int = 0) -> str:
-        return param("--socket", str(self.socket), *args, code=code)
+    def run(self, *words: object, code: int = 0, typed: str | None = None) -> str:
+        return super().run("param", *words, code=code, typed=typed)
 
 
-def param(*args: str, code: int = 0) -> str:
-    """stdout and stderr of a command that must exit with ``code``."""
-    options, rest = (args[:2], args[2:]) if args[0] == "--socket" else ((), args)
-    result = CliRunner().invoke(app, [*options, "param", *rest])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result.output
+param = partial(said, "param")
 
 
 @pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    served = Served(tmp_path)
-    yield served
-    served.close()
+def served(tmp_path: Path) -> Iterator[Held]:
+    with Held(tmp_path) as served:
+        yield served
 
 
-def test_get_shows_each_and_fails_with_any(served: Served) -> None:
+def test_get_shows_each_and_fails_with_any(served: Held) -> None:
     assert served.run("get", "alpha", "wpnav_speed") == "ok   alpha  WPNAV_SPEED       500.0\n"
     assert "FAIL alpha  NO_SUCH" in served.run("get", "alpha", "WPNAV_SPEED", "NO_SUCH", code=1)
 
 
-def test_set_takes_several_and_negative_values(served: Served) -> None:
+def test_set_takes_several_and_negative_values(served: Held) -> None:
     served.run("set", "alpha", "COMPASS_OFS_X", "-3.5", "FENCE_ENABLE", "1")
     assert served.params.set_calls == [{"COMPASS_OFS_X": -3.5, "FENCE_ENABLE": 1}]
     assert isinstance(served.params.set_calls[0]["FENCE_ENABLE"], int)
     assert "no" in served.run("set", "alpha", "WPNAV_SPEED", "2000", code=1)
 
 
-@pytest.mark.parametrize("args", [("WPNAV_SPEED",), ("WPNAV_SPEED", "fast"), ("BAD NAME", "1"), ("A", "nan")])
-def test_wrong_usage_of_set_sends_nothing(served: Served, args: tuple[str, ...]) -> None:
+@each("args", [("WPNAV_SPEED",), ("WPNAV_SPEED", "fast"), ("BAD NAME", "1"), ("A", "nan")])
+def test_wrong_usage_of_set_sends_nothing(served: Held, args: tuple[str, ...]) -> None:
     served.run("set", "alpha", *args, code=2)
     assert served.params.set_calls == []
 
 
-def test_a_value_outside_its_range_is_refused_unless_somebody_insists(served: Served) -> None:
+def test_a_value_outside_its_range_is_refused_unless_somebody_insists(served: Held) -> None:
     text = served.run("set", "alpha", "WPNAV_SPEED", "50000", "COMPASS_OFS_X", "3", code=1)
     assert "FAIL alpha  WPNAV_SPEED       refused: 50000 is outside its range of 10 to 2000 cm/s" in text
     assert served.params.set_calls == [{"COMPASS_OFS_X": 3}]
@@ -146,7 +126,7 @@ def test_a_value_outside_its_range_is_refused_unless_somebody_insists(served: Se
     assert served.params.set_calls[-1] == {"WPNAV_SPEED": 5}
 
 
-def test_show_says_unit_range_meaning_and_reboot(served: Served) -> None:
+def test_show_says_unit_range_meaning_and_reboot(served: Held) -> None:
     text = served.run("show", "alpha", "wpnav_speed", "FENCE_ENABLE", "SYSID_THISMAV")
     assert "metadata of ArduPilot" in text and "WPNAV_SPEED       500 cm/s  (range 10 to 2000 cm/s)" in text
     assert "FENCE_ENABLE      0 = Disabled" in text and "values: 0 Disabled, 1 Enabled" in text
@@ -158,15 +138,15 @@ def test_show_says_unit_range_meaning_and_reboot(served: Served) -> None:
     assert "WARNING: 5000 is outside its range" in served.run("show", "alpha", "WPNAV_SPEED")
 
 
-def test_list_with_a_pattern(served: Served) -> None:
+def test_list_with_a_pattern(served: Held) -> None:
     text = served.run("list", "alpha", "*sysid*")
     assert "4 parameters (read in 0.1 s)" in text and "SYSID_THISMAV" in text and "WPNAV" not in text
     served.params.complete = False
     assert "FAIL nothing came" in served.run("list", "alpha", code=1)
 
 
-@pytest.mark.parametrize("name", ["a.params", "a.param", "a.parm"])
-def test_what_is_saved_differs_in_nothing_and_is_applied_as_nothing(served: Served, tmp_path: Path, name: str) -> None:
+@each("name", ["a.params", "a.param", "a.parm"])
+def test_what_is_saved_differs_in_nothing_and_is_applied_as_nothing(served: Held, tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     served.run("save", "alpha", str(path))
     file = parse(path.read_text(), "saved")
@@ -178,13 +158,13 @@ def test_what_is_saved_differs_in_nothing_and_is_applied_as_nothing(served: Serv
     served.run("save", "alpha", str(path), "--force")
 
 
-def test_an_incomplete_list_is_not_saved(served: Served, tmp_path: Path) -> None:
+def test_an_incomplete_list_is_not_saved(served: Held, tmp_path: Path) -> None:
     served.params.complete = False
     assert "not known" in served.run("save", "alpha", str(tmp_path / "a.param"), code=1)
     assert not (tmp_path / "a.param").exists()
 
 
-def test_apply_sets_what_differs_and_a_dry_run_only_says_so(served: Served, tmp_path: Path) -> None:
+def test_apply_sets_what_differs_and_a_dry_run_only_says_so(served: Held, tmp_path: Path) -> None:
     path = tmp_path / "a.param"
     path.write_text("WPNAV_SPEED,600\nFENCE_ENABLE,1\nMAV_SYSID,7\nCOMPASS_OFS_X,9\n")
     text = served.run("apply", "alpha", str(path), "--dry-run")
@@ -196,7 +176,7 @@ def test_apply_sets_what_differs_and_a_dry_run_only_says_so(served: Served, tmp_
     assert [list(call) for call in served.params.set_calls] == [["FENCE_ENABLE", "WPNAV_SPEED"], ["SYSID_THISMAV"]]
 
 
-def test_apply_lists_what_differs_when_it_has_read_again(served: Served, tmp_path: Path) -> None:
+def test_apply_lists_what_differs_when_it_has_read_again(served: Held, tmp_path: Path) -> None:
     """A PX4 changes some parameters right after it has taken them."""
     path = tmp_path / "a.param"
     path.write_text("WPNAV_SPEED,600\nFENCE_ENABLE,1\n")
@@ -208,7 +188,7 @@ def test_apply_lists_what_differs_when_it_has_read_again(served: Served, tmp_pat
     assert [(d["name"], d["before"], d["value"]) for d in reported["differs"]] == [("WPNAV_SPEED", 500.0, 600.0)]
 
 
-def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> None:
+def test_diff_and_apply_see_the_second_digit(served: Held, tmp_path: Path) -> None:
     """The attack: half a unit of the last digit counted as equal, so 0.5 was 0.48 and apply said "0 to set"."""
     path = tmp_path / "a.param"
     path.write_text("COMPASS_OFS_X,4.4\n")  # it holds 4.5
@@ -219,7 +199,7 @@ def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> 
     assert "COMPASS_OFS_X" not in text and "rounded to 6 decimals, as MAVProxy writes them" in text
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "reported"),
     [
         ("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n", "the file is of vehicle 9"),
@@ -227,21 +207,21 @@ def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> 
         ("WPNAV_SPEED,fast\n", "line 1: 'fast' is not a number"),
     ],
 )
-def test_of_a_wrong_file_nothing_is_sent(served: Served, tmp_path: Path, text: str, reported: str) -> None:
+def test_of_a_wrong_file_nothing_is_sent(served: Held, tmp_path: Path, text: str, reported: str) -> None:
     path = tmp_path / "a.param"
     path.write_text(text)
     assert reported in served.run("apply", "alpha", str(path), code=1)
     assert served.params.set_calls == []
 
 
-def test_another_vehicles_file_can_be_insisted_on(served: Served, tmp_path: Path) -> None:
+def test_another_vehicles_file_can_be_insisted_on(served: Held, tmp_path: Path) -> None:
     path = tmp_path / "a.param"
     path.write_text("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n")
     served.run("apply", "alpha", str(path), "--force")
     assert served.params.set_calls == [{"WPNAV_SPEED": 600}]
 
 
-def test_what_is_known_by_number_only_is_read_before_anything_rests_on_it(served: Served, tmp_path: Path) -> None:
+def test_what_is_known_by_number_only_is_read_before_anything_rests_on_it(served: Held, tmp_path: Path) -> None:
     served.params.vouched = "count"
     assert "only their number was checked; --refresh reads them" in served.run("list", "alpha")
     assert served.params.refreshed == 0
@@ -252,7 +232,7 @@ def test_what_is_known_by_number_only_is_read_before_anything_rests_on_it(served
     assert served.params.refreshed == 3 and served.params.set_calls == []
 
 
-def test_cancel(served: Served) -> None:
+def test_cancel(served: Held) -> None:
     assert served.run("cancel", "alpha") == "alpha: 2 requests stopped\n"
 
 
@@ -275,14 +255,14 @@ def test_a_bar_shows_how_far_and_how_long() -> None:
     assert text == f"alpha  [{'#' * 15}{'.' * 15}] 650/1300  12 s left"
 
 
-@pytest.mark.parametrize(("names", "code"), [(["WPNAV_SPEED"], 0), (["WPNAV_SPEED", "NO_SUCH"], 1)])
-def test_call_exits_by_the_outcome_of_each_parameter(served: Served, names: list[str], code: int) -> None:
+@each(("names", "code"), [(["WPNAV_SPEED"], 0), (["WPNAV_SPEED", "NO_SUCH"], 1)])
+def test_call_exits_by_the_outcome_of_each_parameter(served: Held, names: list[str], code: int) -> None:
     params = json.dumps({"targets": "alpha", "names": names})
     result = CliRunner().invoke(app, ["--socket", str(served.socket), "call", "params.get", params])
     assert result.exit_code == code, result.output
 
 
-def test_call_exits_by_how_reading_a_list_went(served: Served) -> None:
+def test_call_exits_by_how_reading_a_list_went(served: Held) -> None:
     args = ["--socket", str(served.socket), "call", "params.list", '{"targets": "alpha"}']
     assert CliRunner().invoke(app, args).exit_code == 0
     served.params.complete = False

@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 
 from skygcs.cli.process import run_loop, serve_until_signal
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig
-from skygcs.daemon import Daemon
 from skygcs.errors import LinkError
+from support.daemons import made_daemon
 
 
 def test_an_error_of_ours_comes_out_of_a_task_group_as_itself() -> None:
@@ -48,8 +46,7 @@ async def test_the_service_manager_hears_when_it_is_up_fed_and_stopping(
     manager.setblocking(False)
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     monkeypatch.setenv("WATCHDOG_USEC", "40000")
-    config = FleetConfig(daemon=DaemonConfig(socket=tmp_path / "s", record=False))
-    daemon = Daemon(config, load_dialect(config.dialect))
+    daemon = made_daemon(tmp_path)
     serving = asyncio.create_task(serve_until_signal(daemon))
     loop = asyncio.get_running_loop()
     said: list[bytes] = []
@@ -66,8 +63,7 @@ async def test_what_is_there_when_it_is_up_is_not_looked_at_by_the_collector_aga
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frozen: list[bool] = []
-    config = FleetConfig(daemon=DaemonConfig(socket=tmp_path / "s", record=False))
-    daemon = Daemon(config, load_dialect(config.dialect))
+    daemon = made_daemon(tmp_path)
     monkeypatch.setattr(gc, "freeze", lambda: frozen.append(daemon.ready.is_set()))
     await serve_until_signal(daemon, on_ready=daemon.stop)
     assert frozen == [True]

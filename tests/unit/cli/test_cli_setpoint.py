@@ -21,16 +21,16 @@ from skygcs.cli.setpoint import (
     repeat,
 )
 from skygcs.errors import RpcError
-from support.controlled import Commanded, commanded
+from support.controlled import Commanded
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 OK = {"ok": True, "message": "followed"}
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    with commanded(tmp_path) as fleet:
+def fleet(tmp_path: Path) -> Iterator[Commanded]:
+    with Commanded(tmp_path) as fleet:
         yield fleet
 
 
@@ -66,7 +66,7 @@ def test_a_vehicle_that_takes_none_ends_it_with_its_reason(fleet: Commanded) -> 
     fleet.vehicles["alpha"].refuses = "refused: control is off"
     text = fleet.run("setpoint", "alpha", "--vel", "1", "0", "0", code=FAILED)
     assert "alpha: refused: control is off" in text and "stays" not in text
-    assert "no setpoints in 0.0 s, refused by all: 1" in text
+    assert "no setpoints in " in text and "refused by all: 1" in text
     fleet.vehicles["bravo"].refuses = "refused: control is off"
     answer = fleet.json("setpoint", "1-3", "--vel", "1", "0", "0", "--for", "0.1", code=FAILED)
     assert [o["ok"] for o in answer["outcomes"].values()] == [False, False, True]
@@ -87,7 +87,7 @@ def test_when_the_daemon_goes_away_nothing_is_promised(fleet: Commanded) -> None
     assert "autopilot's failsafe" in text and "under control" not in text
 
 
-@pytest.mark.parametrize(
+@each(
     ("args", "word"),
     [
         ((), "neither a position nor a velocity"),

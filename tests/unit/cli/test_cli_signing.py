@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import stat
-import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import structlog
-from typer.testing import CliRunner
 
-from skygcs.cli.main import app
 from skygcs.cli.process import configure_logging
 from skygcs.core.protocols.command import Outcome
 from skygcs.errors import KeyFileError
-from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet_orders import Reports
+from support.command_line import Served, said
 from support.fake_daemon import FakeDaemon
 
 CHANNEL = {
@@ -76,25 +73,13 @@ class SigningDaemon(FakeDaemon):
 
 @pytest.fixture
 def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SigningDaemon]:
-    monkeypatch.setenv("SKYGCS_SOCKET", str(tmp_path / "s"))
     monkeypatch.chdir(tmp_path)
-    loop = asyncio.new_event_loop()
-    thread = threading.Thread(target=loop.run_forever)
-    thread.start()
-    daemon = SigningDaemon()
-    server = RpcServer(daemon, tmp_path / "s")
-    asyncio.run_coroutine_threadsafe(server.start(), loop).result(10)
-    yield daemon
-    asyncio.run_coroutine_threadsafe(server.close(), loop).result(10)
-    loop.call_soon_threadsafe(loop.stop)
-    thread.join()
-    loop.close()
+    with Served(tmp_path, SigningDaemon()) as served:
+        monkeypatch.setenv("SKYGCS_SOCKET", str(served.socket))
+        yield served.daemon
 
 
-def signing(*args: str, code: int = 0) -> str:
-    result = CliRunner().invoke(app, ["signing", *args])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    return result.output
+signing = partial(said, "signing")
 
 
 def test_setup_asks_with_the_whole_path_and_shows_the_outcome(daemon: SigningDaemon, tmp_path: Path) -> None:
@@ -133,9 +118,8 @@ def test_a_clock_is_set_back(daemon: SigningDaemon) -> None:
 
 
 def test_a_relative_key_file_is_refused_by_the_daemon(daemon: SigningDaemon) -> None:
-    result = CliRunner().invoke(app, ["call", "signing.setup", '{"targets": "all", "key_file": "lab.key"}'])
-    assert result.exit_code == 2
-    assert "absolute path" in " ".join(result.output.split())
+    refused = said("call", "signing.setup", '{"targets": "all", "key_file": "lab.key"}', code=2)
+    assert "absolute path" in " ".join(refused.split())
     assert daemon.signing_setup.asked == []
 
 

@@ -48,7 +48,7 @@ def test_what_init_writes_of_several_stations_stands_alone(tmp_path: Path, capsy
         write_example("federation", folder, force=False)
 
 
-@pytest.mark.parametrize("scenario", sorted(scenarios().keys() - {"federation"}))
+@each("scenario", sorted(scenarios().keys() - {"federation"}))
 def test_what_init_writes_stands_alone(scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
     assert write_example(scenario, folder, force=False) == 0

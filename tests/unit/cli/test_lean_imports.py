@@ -28,18 +28,20 @@ def printed(code: str) -> str:
 
 
 def test_a_prepared_process_has_loop_and_models_without_openssl_and_metadata() -> None:
-    spared = ("_hashlib", "_ssl", "email", "importlib.metadata", "ssl", "zipfile")
-    assert printed(f"import asyncio, pydantic, uvloop\nprint([m for m in {spared} if m in sys.modules])") == "[]"
+    spared = ("_hashlib", "_ssl", "email", "importlib.metadata", "pickle", "ssl", "zipfile")
+    code = f"import asyncio, pydantic, structlog, uvloop\nprint([m for m in {spared} if m in sys.modules])"
+    assert printed(code) == "[]"
 
 
 def test_the_real_modules_can_be_imported_afterwards() -> None:
     code = (
-        "import hashlib, hmac, importlib.metadata, pydantic.plugin._loader as loader, ssl\n"
+        "import hashlib, hmac, importlib.metadata, pickle, pydantic.plugin._loader as loader, ssl, structlog\n"
         "print(ssl.create_default_context().verify_mode.name, importlib.metadata.version('uvloop').count('.'),\n"
-        "      hmac.new(b'k', b'm', 'sha256').hexdigest()[:8], len(list(loader.entry_points(group='pytest11'))) > 0)"
+        "      hmac.new(b'k', b'm', 'sha256').hexdigest()[:8], len(list(loader.entry_points(group='pytest11'))) > 0,\n"
+        "      pickle.loads(pickle.dumps(structlog.PrintLogger()))._file is sys.stdout)"
     )
     digest = hmac.new(b"k", b"m", "sha256").hexdigest()[:8]
-    assert printed(code) == f"CERT_REQUIRED 2 {digest} True"
+    assert printed(code) == f"CERT_REQUIRED 2 {digest} True True"
 
 
 def test_hashes_are_the_same_without_openssl() -> None:
@@ -90,7 +92,7 @@ def test_a_name_that_a_stand_in_lacks_comes_from_the_module(monkeypatch: pytest.
         _ = stand_in.__path__
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "needs"),
     [
         ("[companion]\nvehicle = 'a'\n", True),

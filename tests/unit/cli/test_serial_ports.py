@@ -12,6 +12,7 @@ import pytest
 from skygcs.cli import serial_ports
 from skygcs.cli.serial_ports import lent
 from skygcs.errors import DaemonUnreachable, LinkError, RefusedError, RpcError
+from support.table import each
 
 
 class Gcs:
@@ -71,7 +72,7 @@ async def test_another_port_leaves_the_daemons_links_alone(monkeypatch: pytest.M
     assert gcs.changes == []
 
 
-@pytest.mark.parametrize(("port", "changes"), [("/dev/one", False), ("/dev/one", True), ("/dev/two", True)])
+@each(("port", "changes"), [("/dev/one", False), ("/dev/one", True), ("/dev/two", True)])
 async def test_nothing_happens_while_a_vehicle_is_armed_unless_forced(
     port: str, changes: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from skygcs.cli.web import _options, add_web
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE
+from support.table import each
 
 
 def test_a_daemon_on_tcp_is_given_its_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -20,7 +21,7 @@ def test_a_daemon_on_tcp_is_given_its_token(tmp_path: Path, monkeypatch: pytest.
     assert (options.socket, options.token) == ("tcp://127.0.0.1:7000", "secret")
 
 
-@pytest.mark.parametrize(
+@each(
     ("terminal", "display", "opens"),
     [
         (True, {"DISPLAY": ":0"}, True),

@@ -28,6 +28,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.trajectory import MotionLimits
 from skygcs.core.vehicle.offboard_controller import OffboardConfig
 from skygcs.errors import ConfigError
+from support.table import each
 
 HERE = Origin(47.4, 8.5, 488.0)
 VEHICLE = "[vehicles.a]\nsysid = 1\n"
@@ -197,7 +198,7 @@ IMPOSSIBLE = [
 ]
 
 
-@pytest.mark.parametrize(("text", "complaint"), IMPOSSIBLE)
+@each(("text", "complaint"), IMPOSSIBLE)
 def test_what_is_impossible_is_named_by_check_with_its_key_and_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, complaint: str
 ) -> None:
@@ -209,7 +210,7 @@ def test_what_is_impossible_is_named_by_check_with_its_key_and_line(
     assert out.count("vehicles.a.control") == 1 or "x_m = [5" in text, out  # of that box its margin is wrong, too
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "attitude_delay_s = 0.1",

@@ -20,6 +20,7 @@ from skygcs.errors import ConfigError
 from skygcs.tlog.format import encode_record
 from support.frames import heartbeat
 from support.public_data import ROOT
+from support.table import each
 
 SPELLINGS = ("utias", "utias.xml", "dialects/utias.xml", "./dialects/utias.xml")
 WRONG = {
@@ -61,7 +62,7 @@ def crc_by_pymavlink(name: str, file: Path) -> int:
     return int(next(message for message in xml.message if message.name == name).crc_extra)
 
 
-@pytest.mark.parametrize("spelling", SPELLINGS)
+@each("spelling", SPELLINGS)
 def test_the_fleet_file_takes_each_spelling(empty: Path, spelling: str) -> None:
     found = in_fleet_file(empty, spelling).find("utias")
     assert (found.msgid, found.crc_extra) == (228, crc_by_pymavlink("utias", shipped_dialects_dir() / "utias.xml"))
@@ -96,7 +97,7 @@ def test_the_commands_take_each_spelling(empty: Path, command: str, spelling: st
     assert done.exit_code == 0, done.output
 
 
-@pytest.mark.parametrize("spelling", SPELLINGS)
+@each("spelling", SPELLINGS)
 def test_a_recording_of_it_has_nothing_unknown(empty: Path, spelling: str) -> None:
     lab_files(empty)
     done = CliRunner().invoke(app, ["tlog", "info", "lab.tlog", "--json", "--dialect", spelling])

@@ -10,6 +10,7 @@ from skygcs.config.checks import endpoint_text, link_warnings
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
 from skygcs.errors import ConfigError
+from support.table import each
 
 VEHICLES = "[vehicles.kite]\nsysid = 5\n[vehicles.hawk]\nsysid = 6\n"
 LINK = '[links.p]\ntype = "udp_server"\nport = 14561\nrole = "gcs"\n'
@@ -22,7 +23,7 @@ def load(folder: Path, text: str) -> FleetConfig:
     return load_fleet(path)
 
 
-@pytest.mark.parametrize(
+@each(
     ("keys", "sysids", "shown"),
     [
         ('vehicles = ["kite"]', [5], "kite"),
@@ -45,7 +46,7 @@ def test_several_programs_may_see_one_id(tmp_path: Path) -> None:
     assert len(load(tmp_path, text).links) == 3
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "complaint"),
     [
         (LINK + 'vehicles = ["kit"]', "links.p.vehicles[0] (line 9): there is no vehicle 'kit'; did you mean kite?"),
@@ -93,7 +94,7 @@ def test_what_is_wrong_by_itself_is_not_told_again_of_the_link(tmp_path: Path) -
         assert len(caught.value.problems) == mistakes, caught.value.problems
 
 
-@pytest.mark.parametrize(
+@each(
     ("keys", "warned"),
     [
         ("vehicles = [5]", "a frame that names no target from it is readdressed and loses its signature"),

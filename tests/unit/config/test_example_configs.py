@@ -37,7 +37,7 @@ def test_it_says_what_it_is_for_and_how_to_run_it(path: Path) -> None:
     assert f"skygcs run configs/{path.name}" in path.read_text()
 
 
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@each("autopilot", ["px4", "ardupilot"])
 def test_the_survey_is_a_mission_for_each_autopilot(autopilot: str) -> None:
     line = ["mission", "check", str(ROOT / "configs" / "survey.plan"), "--autopilot", autopilot]
     checked = CliRunner().invoke(app, line)

@@ -10,6 +10,7 @@ import pytest
 from skygcs.config.firmware import PROGRAMS, find_ardupilot, find_px4
 from skygcs.errors import ConfigError
 from support.fake_firmware import make_copter, make_px4
+from support.table import each
 
 
 def test_a_built_ardupilot_tree(tmp_path: Path) -> None:
@@ -50,7 +51,7 @@ def test_px4_without_its_startup_files(tmp_path: Path) -> None:
         find_px4({"SKYGCS_PX4": str(folder)})
 
 
-@pytest.mark.parametrize("find", [find_px4, partial(find_ardupilot, "ardupilot")])
+@each("find", [find_px4, partial(find_ardupilot, "ardupilot")])
 def test_what_is_not_set_or_not_there_says_what_to_do(find: object, tmp_path: Path) -> None:
     assert callable(find)
     with pytest.raises(ConfigError, match="is not set: build it"):

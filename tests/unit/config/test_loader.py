@@ -14,6 +14,7 @@ from skygcs.config.models import FleetConfig, ReplayLinkConfig, SerialLinkConfig
 from skygcs.errors import ConfigError
 from support.examples import examples
 from support.frames import dialect
+from support.table import each
 
 SERIAL = '[links.radio]\ntype = "serial"\ndevice = "/dev/ttyUSB0"\n'
 UDP = '[links.net]\ntype = "udp_server"\nport = 5000\n'
@@ -80,7 +81,7 @@ sysid = 1
         assert re.fullmatch(pattern, text), text
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "complaint"),
     [
         # values
@@ -110,12 +111,15 @@ sysid = 1
             SERIAL + "allow_msg_id_in = [1.5]",
             "links.radio.allow_msg_id_in[0] (line 4): must be text in quotes or a whole",
         ),
-        (UDP + "allow_from = ['10.0.0.0/24', 'LAN']", 'links.net.allow_from[1] (line 4): "LAN" is no network: write'),
+        (
+            UDP + "allow_from = ['10.0.0.0/24', 'LAN']",
+            'links.net.allow_from[1] (line 4): "LAN" is not a network: write',
+        ),
         (
             UDP + "allow_from = ['10.0.0.5/24']",
             "(line 4): 10.0.0.5/24 is an address within a network; did you mean 10.0.0.0/24, or 10.0.0.5 alone?",
         ),
-        (UDP + "allow_from = ['10.0.0.0/33']", 'links.net.allow_from[0] (line 4): "10.0.0.0/33" is no network'),
+        (UDP + "allow_from = ['10.0.0.0/33']", 'links.net.allow_from[0] (line 4): "10.0.0.0/33" is not a network'),
         (UDP + "allow_from = []", "links.net.allow_from (line 4): must be a list of at least one, not []"),
         (UDP + "allow_from = '10.0.0.0/24'", 'links.net.allow_from (line 4): must be a list, not "10.0.0.0/24"'),
         (UDP + "allow_from = [5]", "links.net.allow_from[0] (line 4): must be text in quotes, not 5"),
@@ -197,7 +201,7 @@ sysid = 1
             "[links.a]\ntype='udp_server'\nport=5000\n[links.b]\ntype='udp_broadcast'\nport=5000",
             "links.b.port (line 6): 5000 is our own link a: frames would loop",
         ),
-        ("[links.b]\ntype='tcp_client'\nhost='h'\nport=0", "links.b.port (line 4): 0 is no port to send to"),
+        ("[links.b]\ntype='tcp_client'\nhost='h'\nport=0", "links.b.port (line 4): 0 is not a port to send to"),
         (
             "[links.s]\ntype='simulated'\npx4=3\nfirst_sysid=253",
             "links.s.first_sysid (line 4): 255 is skygcs's own system id and cannot be a simulated vehicle",
@@ -224,7 +228,7 @@ sysid = 1
             SERIAL + 'allow_msg_id_in = ["HEARTBEAT", "ATITUDE"]',
             "links.radio.allow_msg_id_in[1] (line 4): the dialect has no message ATITUDE; did you mean ATTITUDE?",
         ),
-        (SERIAL + "block_msg_id_out = [16777216]", "block_msg_id_out[0] (line 4): 16777216 is no message id"),
+        (SERIAL + "block_msg_id_out = [16777216]", "block_msg_id_out[0] (line 4): 16777216 is not a message id"),
         (
             SERIAL + "[links.radio.rate_out.messages]\nATITUDE = 1",
             "links.radio.rate_out.messages.ATITUDE (line 5): the dialect has no message ATITUDE",
@@ -250,7 +254,7 @@ def test_a_mistake_is_named_with_its_key_and_line(tmp_path: Path, text: str, com
     assert complaint in found[0]
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         SERIAL + 'allow_msg_id_in = ["heartbeat", 0, 54321, "30"]',
@@ -280,7 +284,7 @@ def test_a_wrong_value_hides_no_conflict_and_invents_none(tmp_path: Path) -> Non
     ]
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "complaint"),
     [
         ("[daemon\nsysid = 1", "line 1, column 8: not TOML"),

@@ -13,6 +13,7 @@ from skygcs.config.preflight import PreflightSettings
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.rules import Rule
 from skygcs.errors import ConfigError
+from support.table import each
 
 
 def load(tmp_path: Path, text: str) -> FleetConfig:
@@ -94,21 +95,21 @@ def test_a_pass_may_be_required_of_all_or_of_some(tmp_path: Path) -> None:
     assert config.vehicle_configs()[0].named and not config.default_vehicle(9).named
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "says"),
     [
         ("batery_min_percent = 3", "did you mean battery_min_percent?"),
         ("params = { A = { mni = 3 } }", "did you mean min?"),
         ('params = { A = "x" }', 'must be a whole number or a number or a table, not "x"'),
-        ("params = { A = { min = 5, max = 3 } }", "min 5 is above max 3: nothing is both"),
+        ("params = { A = { min = 5, max = 3 } }", "min 5 is above max 3: no value satisfies both"),
         ("params = { A = { in = [1, 2], set = 5 } }", "set 5 is itself not as expected (1 or 2)"),
         ("params = { A = { bits = 3, no_bits = 1 } }", "bits and no_bits both have 1"),
         ("params = { A = { in = [1], min = 2 } }", "no value of in satisfies the rest of it"),
         ("params = { A = { in = [] } }", "a list of at least one"),
-        ('params = { "NOT A NAME" = 3 }', "is no parameter's name"),
-        ("params = { A_NAME_OF_SEVENTEEN = 3 }", "is no parameter's name"),
+        ('params = { "NOT A NAME" = 3 }', "is not a parameter's name"),
+        ("params = { A_NAME_OF_SEVENTEEN = 3 }", "is not a parameter's name"),
         ("params = { A = nan }", "finite"),
-        ('firmware_min = "new"', "'new' is no version such as 1.16.0"),
+        ('firmware_min = "new"', "'new' is not a version such as 1.16.0"),
         ('gps_fix_min = "4d"', "must be one of no_gps"),
         ("rtl_height_m = [30, 3]", "the first is above the second"),
         ("battery_min_percent = 130", "at most 100"),

@@ -11,6 +11,7 @@ from skygcs.config.models import SerialLinkConfig
 from skygcs.config.radio import radio_rates
 from skygcs.core.radio_link.pacing import Pacer, RadioRates
 from skygcs.errors import ConfigError
+from support.table import each
 
 SERIAL = '[links.r]\ntype = "serial"\ndevice = "/dev/ttyUSB0"\n'
 SIMULATED = '[links.r]\ntype = "simulated"\nrole = "radio"\npx4 = 4\n'
@@ -27,7 +28,7 @@ def test_the_keys_of_a_serial_link_are_the_rates_of_its_radio() -> None:
     assert radio_rates(link, 115200) == RadioRates(115200, 125, 9, 0.5, 0.8)
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         SERIAL + 'role = "radio"\nair_speed_kbps = 64\nnodes = 16\nduty_cycle = 0.1\n',
@@ -41,7 +42,7 @@ def test_what_goes_together_is_accepted(tmp_path: Path, text: str) -> None:
     load(tmp_path, text)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "complaint"),
     [
         (
@@ -110,7 +111,7 @@ def test_a_timing_file_takes_the_place_of_assumed_timeslots(tmp_path: Path) -> N
     assert Pacer(radio_rates(link, 57600)).status(0.0)["timing"] == "assumed, as open SiK multipoint"
 
 
-@pytest.mark.parametrize(
+@each(
     ("keys", "content", "complaint"),
     [
         ("", TIMING, "timing_file (line 5): needs air_speed_kbps"),

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from pathlib import Path
+import tomllib
+from pathlib import Path, PosixPath
 from typing import get_args
 
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import (
-    control,
-    models,
-    preflight,
-    separation,
-    signing,
-)
+from skygcs.config import control, models, preflight, separation, signing
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.extension_parts import extension_tables
@@ -58,6 +54,42 @@ def test_every_key_of_the_fleet_file_is_described(model: type[BaseModel]) -> Non
 
 def test_every_kind_of_link_has_its_section() -> None:
     assert set(re.findall(r'### type = "(\w+)"', PAGE)) == {m.model_fields["type"].default for m in LINKS}
+
+
+def section(title: str) -> str:
+    """The part of the page below a heading, up to the next one; "" without."""
+    return re.sub(r"\n +", " ", re.split(r"\n#+ ", PAGE.partition(f" {title}\n")[2])[0])
+
+
+def stated(title: str) -> dict[str, object]:
+    """Defaults in brackets behind the keys of a section that are values of TOML, not words."""
+    found: dict[str, object] = {}
+    for item in re.findall(r"^- (.*?)(?:: |$)", section(title), re.M):
+        for key, default in re.findall(r"`([a-z_0-9]+)` \(`?([^)]*?)`?\)", item):
+            with contextlib.suppress(tomllib.TOMLDecodeError):
+                found[key] = tomllib.loads(f"x = {default}")["x"]
+    return found
+
+
+TABLES: dict[str, type[BaseModel]] = {
+    "[daemon]": models.DaemonConfig,
+    "[links.NAME]": models.LinkCommon,
+    **{f'type = "{link.model_fields["type"].default}"': link for link in LINKS},
+    **{f"[{model.__name__.removesuffix('Config').lower()}]": model for model in extension_tables()},
+}
+"""Headings, and the model whose keys are below each; of some models there is no such heading."""
+
+
+def test_the_defaults_in_brackets_are_those_of_the_models() -> None:
+    page, code = {}, {}
+    for title, model in TABLES.items():
+        for key, default in stated(title).items():
+            if (field := model.model_fields.get(key)) is not None:
+                page[title, key] = default
+                value = field.get_default(call_default_factory=True)
+                code[title, key] = {tuple: list, PosixPath: str}.get(type(value), lambda same: same)(value)
+    assert len(page) > 70
+    assert page == code
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda p: p.name)

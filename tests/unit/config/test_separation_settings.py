@@ -10,6 +10,7 @@ from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
 from skygcs.core.separation import Footprint
 from skygcs.errors import ConfigError
+from support.table import each
 
 
 def load(folder: Path, text: str) -> FleetConfig:
@@ -52,7 +53,7 @@ priority = 5
     assert fleet.default_vehicle(7).separation.footprint() == Footprint(wingspan_m=1.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "said"),
     [
         ('[monitor]\nmode = "on"', "acting"),

@@ -14,6 +14,7 @@ from skygcs.config.loader import load_fleet
 from skygcs.config.signing import read_key, write_new_key
 from skygcs.core.mavlink.signing import key_from_passphrase
 from skygcs.errors import ConfigError, KeyFileError
+from support.table import each
 
 KEY = bytes.fromhex("c0ffee" + "5a" * 28 + "80")
 
@@ -25,7 +26,7 @@ def written(folder: Path, content: bytes, mode: int = 0o600) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "key"),
     [
         (KEY, KEY),
@@ -40,7 +41,7 @@ def test_what_a_key_file_may_hold(tmp_path: Path, content: bytes, key: bytes) ->
     assert read_key(written(tmp_path, content)) == key
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "why"),
     [
         (b"", "neither 32 bytes nor 64"),
@@ -73,7 +74,7 @@ def test_any_file_gives_32_bytes_or_a_reason(tmp_path: Path, content: bytes) -> 
         assert error.reason
 
 
-@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o620, 0o601, 0o777])
+@each("mode", [0o644, 0o640, 0o604, 0o620, 0o601, 0o777])
 def test_a_file_others_can_read_or_change_is_refused(tmp_path: Path, mode: int) -> None:
     path = written(tmp_path, KEY, mode)
     with pytest.raises(KeyFileError, match=f"mode {mode:04o}.*run: chmod 600 {path}"):

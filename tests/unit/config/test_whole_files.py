@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.config.files import write_whole
+from support.table import each
 
 
 def test_a_file_is_replaced_with_its_mode_and_nothing_stays_beside_it(tmp_path: Path) -> None:
@@ -19,7 +20,7 @@ def test_a_file_is_replaced_with_its_mode_and_nothing_stays_beside_it(tmp_path: 
     assert os.listdir(tmp_path) == ["keys.json"]
 
 
-@pytest.mark.parametrize("failing", ["fsync", "replace"])
+@each("failing", ["fsync", "replace"])
 def test_what_fails_half_way_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str) -> None:
     path = tmp_path / "keys.json"
     path.write_bytes(b"old")

@@ -13,10 +13,7 @@ from skygcs.core.clock_offset import DRIFT, MAX_SAMPLES, WINDOW_S, ClockComparis
 from support.table import each
 
 
-@given(
-    true_s=st.floats(-1e6, 1e6),
-    ways=st.lists(st.tuples(st.floats(0, 3), st.floats(0, 3)), min_size=1, max_size=20),
-)
+@given(true_s=st.floats(-1e6, 1e6), ways=st.lists(st.tuples(st.floats(0, 3), st.floats(0, 3)), min_size=1, max_size=20))
 def test_the_bound_holds_however_the_round_trip_divides(true_s: float, ways: list[tuple[float, float]]) -> None:
     clocks = ClockComparison()
     now = 100.0

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departures
 from skygcs.core.monitor.ways import standing
 from skygcs.core.separation import Footprint, pair_margin, separation_m
+from support.examples import examples
 
 SIZE = Footprint()
 MARGIN_M = pair_margin(SIZE, SIZE).total_m
@@ -113,6 +114,14 @@ def test_an_unknown_return_height_is_any_and_the_ways_are_flown_one_after_the_ot
     assert found.leave == (0,) and found.climb == {} and found.waits_for == {1: ("v0",), 2: ("v0", "v1")}
 
 
+def test_one_that_lands_where_it_is_is_in_the_way_of_what_flies_below_it() -> None:
+    below, above = at(1, (0, 40, 10), (0, 0)), at(2, (0, 20, 40), (30, 20))
+    assert departures([below], [above]).leave == (1,), "it flies home, from above"
+    assert departures([below], [replace(above, lands=True)]).waits_for == {1: ("v2",)}
+    aside = replace(above, here=(8.0, 20.0, 40.0), home=(-20.0, 20.0, 0.0), lands=True)
+    assert departures([below], [aside]).leave == (1,), "its home is on the other side of the way"
+
+
 def test_one_home_for_two_keeps_the_second_in_the_air() -> None:
     """It would land on the first."""
     air = flown_home([at(1, (0, 20, 10), (0, 0)), at(2, (20, 0, 10), (0, 0))], [5.0, 5.0], 300.0)
@@ -126,7 +135,7 @@ def test_layers_above_anothers_home_rise_from_the_top() -> None:
     assert set(air.landed) == {1, 2, 3} and air.least_m >= MARGIN_M - 1e-6, air.decided
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.data())
 def test_whoever_stands_where_all_come_home_and_none_comes_too_near(data: st.DataObject) -> None:
     """Any permutation of places on a grid, heights, return heights and speeds."""
@@ -144,3 +153,34 @@ def test_whoever_stands_where_all_come_home_and_none_comes_too_near(data: st.Dat
     air = flown_home(vehicles, [data.draw(st.floats(2.0, 12.0)) for _ in range(count)], 2000.0)
     assert air.least_m >= MARGIN_M - 1e-6
     assert len(air.landed) == count, air.decided
+
+
+@pytest.mark.parametrize(
+    ("home_x", "up_m", "height", "does"),
+    [
+        (20.0, 10.0, RETURN, "climbs"),  # the way leads through one that holds at 10 m, the home is beyond it
+        (20.0, 30.0, RETURN, "leaves"),  # it is above that one already
+        (1.0, 10.0, RETURN, "is stuck"),  # its home is below that one
+        (20.0, 10.0, UNKNOWN, "waits"),  # nobody knows how high it returns
+    ],
+)
+def test_one_that_stays_is_flown_over_or_waited_for_by_nobody(
+    home_x: float, up_m: float, height: ReturnHeight, does: str
+) -> None:
+    stays = at(9, (0.0, 0.0, 16.0), (0.0, 0.0)).place()
+    one = at(1, (-20.0, 0.0, up_m), (home_x, 0.0), height)
+    decided = departures([one], [], [stays], {9})
+    assert decided.leave == ((1,) if does == "leaves" else ())
+    assert decided.stuck == ({1: ("v9",)} if does == "is stuck" else {})
+    assert (1 in decided.climb) is (does == "climbs")
+    if does == "climbs":
+        above = replace(one, here=(*one.here[:2], decided.climb[1]))
+        assert departures([above], [], [stays], {9}).leave == (1,)
+        below = at(2, (-20.0, 0.0, 14.0), (-40.0, 0.0)).place()
+        assert not departures([one], [], [stays, below], {9}).climb, "another one is in the way up"
+
+
+def test_one_that_climbs_takes_the_space_up_to_its_goal() -> None:
+    climbs = replace(at(1, (0.0, 0.0, 10.0), (50.0, 0.0)), goal_m=20.0)
+    assert climbs.place().heights == (10.0, 20.0)
+    assert replace(climbs, goal_m=5.0).place().heights == (10.0, 10.0)

@@ -77,7 +77,7 @@ def test_jumps_that_lead_to_each_other_or_nowhere_end() -> None:
     assert meets(way(loops), (25.0, 50.0))
 
 
-@pytest.mark.parametrize(("command", "radius_at"), [(17, 2), (18, 2), (19, 2), (31, 1)])
+@each(("command", "radius_at"), [(17, 2), (18, 2), (19, 2), (31, 1)])
 def test_the_circle_of_every_loiter_is_as_wide_as_its_own_parameter(command: int, radius_at: int) -> None:
     """MAVLink: NAV_LOITER_TO_ALT has its radius in parameter 2, the others in 3; the sign is the direction."""
     for sign in (1.0, -1.0):
@@ -121,8 +121,8 @@ def test_a_plane_circles_at_home_and_a_rover_stays_on_the_ground() -> None:
         assert not meets(returning(UNKNOWN, end), (0.0, 50.0), 30.0)
 
 
-@pytest.mark.parametrize("end", [ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.NOT_KNOWN])
-def test_one_that_lands_at_home_or_may_flies_home_as_a_plane_and_comes_down_there(end: ReturnEnd) -> None:
+@each("end", [ReturnEnd.HOLDS, ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.NOT_KNOWN])
+def test_one_that_sinks_or_lands_at_home_or_may_flies_home_and_comes_down_there(end: ReturnEnd) -> None:
     landing = returning(ReturnHeight(0.0, 30.0), end)
     for at, up_m in (((0.0, 50.0), 10.0), ((0.0, 50.0), 30.0), ((0.0, 0.0), 30.0), ((0.0, 0.0), 1.0)):
         assert meets(landing, at, up_m), (at, up_m)

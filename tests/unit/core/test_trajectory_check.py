@@ -13,6 +13,7 @@ from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from support.examples import seeds
+from support.table import each
 
 MARGIN = pair_margin(Footprint(), Footprint())
 NEED_M = MARGIN.total_m
@@ -40,7 +41,7 @@ def conflicts(*courses: Course, end_s: float) -> dict[int, str]:
     return found
 
 
-@pytest.mark.parametrize("seed", seeds(60))
+@each("seed", seeds(60))
 def test_it_agrees_with_dense_sampling(seed: int) -> None:
     rng = random.Random(seed)
     loaded = [LoadedTrajectory(curve(rng, rng.uniform(5.0, 20.0))) for _ in range(2)]
@@ -73,7 +74,7 @@ def straight(key: int, place: tuple[float, float, float], velocity: tuple[float,
     return Course(key, f"v{key}", Footprint(), at, math.hypot(*velocity))
 
 
-@pytest.mark.parametrize(("aside_m", "found"), [(NEED_M - 0.001, True), (NEED_M + 0.001, False)])
+@each(("aside_m", "found"), [(NEED_M - 0.001, True), (NEED_M + 0.001, False)])
 def test_a_millimetre_decides_far_ahead(aside_m: float, found: bool) -> None:
     a, b = straight(1, (0.0, 0.0, 20.0), (2.0, 0.0, 0.0)), straight(2, (400.0, aside_m, 20.0))
     assert bool(conflicts(a, b, end_s=300.0)) is found

@@ -42,7 +42,7 @@ def wandering(chance: random.Random, key: int) -> Way:
 def test_what_is_found_is_what_a_comparison_of_all_legs_finds() -> None:
     """The oracle has no boxes and no parts."""
     chance, met, clear = random.Random(8), 0, 0
-    for _ in range(30):
+    for _ in range(12):
         starting = [wandering(chance, key) for key in range(4)]
         others = [wandering(chance, key) for key in range(4, 7)]
         found, _ = work(starting, others)
@@ -53,11 +53,11 @@ def test_what_is_found_is_what_a_comparison_of_all_legs_finds() -> None:
             met, clear = met + bool(near), clear + (not near)
             if near:
                 assert any(f"m near {o.name} " in found[one.key] for o in near)
-    assert met > 10 < clear
+    assert met > 4 < clear
 
 
 def test_the_distance_in_words_is_the_least_of_the_whole_pair() -> None:
-    a, b = way(1, comb(20.0)), way(2, comb(21.0, east_m=3.0))
+    a, b = way(1, comb(20.0, count=100)), way(2, comb(21.0, east_m=3.0, count=100))
     found, _ = work([a, b], [])
     assert f"{distance_m(a, b):.1f} m near v2" in found[1] and f"{distance_m(a, b):.1f} m near v1" in found[2]
 

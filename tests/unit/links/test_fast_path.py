@@ -22,6 +22,7 @@ from skygcs.links.reading import LARGEST_DATAGRAM_BYTES
 from skygcs.links.udp import DATAGRAMS_PER_WAKEUP
 from support.fast_path_bench import AMPLE, Bench, Channel, Slot, attitude
 from support.frames import dialect
+from support.table import each
 from support.watchdog import processor_limit
 
 pytestmark = pytest.mark.skipif(
@@ -174,7 +175,7 @@ def test_a_fault_behind_the_newest_frames_does_not_drop_the_datagram_after_them(
     assert bench.received() == [attitude(1), attitude(2)]
 
 
-@pytest.mark.parametrize("error", [OSError(5, "disk"), BlockingIOError(11, "later"), KeyboardInterrupt()])
+@each("error", [OSError(5, "disk"), BlockingIOError(11, "later"), KeyboardInterrupt()])
 def test_an_error_of_python_code_is_not_taken_for_the_sockets(bench: Bench, error: BaseException) -> None:
     def fail(*_: object) -> None:
         raise error

@@ -7,6 +7,7 @@ import structlog.testing
 
 from skygcs.config.dialects import offline_dialect
 from skygcs.links import fast_path
+from support.table import each
 
 _fast_path = pytest.importorskip("skygcs.links._fast_path", reason="the fast path is not compiled")
 
@@ -16,7 +17,7 @@ def test_the_compiled_file_is_the_one_this_version_expects() -> None:
     assert fast_path.new_table(offline_dialect(), recording=False) is not None
 
 
-@pytest.mark.parametrize("compiled", [1, 99])
+@each("compiled", [1, 99])
 def test_one_of_another_version_is_left_aside_and_said(monkeypatch: pytest.MonkeyPatch, compiled: int) -> None:
     monkeypatch.setattr(_fast_path, "INTERFACE", compiled)
     with structlog.testing.capture_logs() as reported:

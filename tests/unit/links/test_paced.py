@@ -70,7 +70,7 @@ def test_more_vehicles_leave_the_ground_a_smaller_part_of_a_round() -> None:
     assert air.status(1.0)["round_s"] == pytest.approx(0.912, abs=0.001)
 
 
-@pytest.mark.parametrize("role", ["radio", "peer"])
+@each("role", ["radio", "peer"])
 async def test_a_serial_radio_gets_no_more_than_its_budget_and_a_cable_all(tmp_path: Path, role: str) -> None:
     radio = PtyRadio(tmp_path / "ttyRADIO")
     radio.plug_in()

@@ -23,6 +23,7 @@ from skygcs.links.stream import StreamChannel
 from support.hosts import RecordingHost, frames_in, heartbeat, open_descriptors, own, text, until
 from support.loops import on_every_loop
 from support.pseudo_tty import PtyRadio
+from support.table import each
 
 
 @pytest.fixture
@@ -71,7 +72,7 @@ async def test_frames_pass_both_ways_whole_and_in_order(radio: PtyRadio) -> None
         assert (channel.tx_dropped, channel.tx_bytes) == (0, len(b"".join(frames)))
 
 
-@pytest.mark.parametrize("rescue", [True, False])
+@each("rescue", [True, False])
 @on_every_loop
 async def test_a_megabyte_of_noise_makes_no_frame_and_hides_none(
     radio: PtyRadio, rescue: bool, monkeypatch: pytest.MonkeyPatch
@@ -131,6 +132,59 @@ async def test_a_port_that_is_not_read_drops_by_policy_and_never_half_a_frame(ra
     assert forwarded[first:] == frames[len(frames) - BOUND[Priority.FORWARDED] :], "the newest were kept"
     # the one frame that the kernel had taken in part goes first, then the command, then what is forwarded
     assert received[first].name == "COMMAND_LONG"
+
+
+@on_every_loop
+async def test_after_a_standstill_nothing_that_waited_in_a_blocked_port_is_sent(radio: PtyRadio) -> None:
+    host = RecordingHost()
+    async with opened(radio, host) as link:
+        (channel,) = link.channels
+        assert isinstance(channel, StreamChannel)
+        for n in range(2000):
+            channel.send(text(1, n % 256, f"of before {n}"))
+        sent = channel.tx_frames
+        assert sent < 1000 and channel.waiting(Priority.FORWARDED)
+        host.reading.woke()
+        assert channel.drop_waiting() > 0
+        got = b""
+        channel.send(text(1, 1, "of now"))
+        while b"of now" not in got:
+            got += radio.read()
+            await asyncio.sleep(0.001)
+        assert channel.tx_frames == sent + 1
+        numbers = [int(f.fields()["text"].split()[-1]) for f in frames_in(got) if b"before" in f.raw]
+        assert numbers == list(range(sent))
+
+
+@on_every_loop
+async def test_each_message_asks_once_for_a_standstill_and_an_empty_queue_never_does(radio: PtyRadio) -> None:
+    host = RecordingHost()
+    asked = list[int]()
+    async with opened(radio, host) as link:
+        (channel,) = link.channels
+        host.reading.asleep = lambda: bool(asked.append(1))
+        for n in range(10):
+            assert channel.send(text(1, n, "one"))
+        assert channel.tx_frames == len(asked) == 10
+
+
+@on_every_loop
+async def test_frames_that_waited_during_a_standstill_are_stale_even_behind_a_false_start(radio: PtyRadio) -> None:
+    host = RecordingHost()
+    seen = list[bool]()
+    async with opened(radio, host) as link:
+        (channel,) = link.channels
+        host.on_frame = lambda _, __: seen.append(channel in host.reading.stale)
+        assert not radio.write(
+            waiting := heartbeat(1) + bytes((0xFD, 255, 0, 0, 0, 1, 1, 0, 0, 0)) + heartbeat(2)
+        ) < len(waiting)
+        host.reading.woke()
+        assert channel in host.reading.stale
+        await until(lambda: len(host.heard) == 2)
+        assert seen == [True, True] and channel not in host.reading.stale
+        await write_all(radio, heartbeat(3))
+        await until(lambda: len(host.heard) == 3)
+        assert seen == [True, True, False]
 
 
 @on_every_loop

@@ -69,8 +69,12 @@ def command(channel: Channel, to: int, number: int, **params: float) -> None:
     assert channel.send(own("COMMAND_LONG", **values))
 
 
-async def test_all_vehicles_are_behind_one_channel_px4s_first() -> None:
-    host = Host()
+@pytest.fixture
+async def host() -> Host:
+    return Host()
+
+
+async def test_all_vehicles_are_behind_one_channel_px4s_first(host: Host) -> None:
     link = make(host, px4=2, ardupilot=1, first_sysid=21)
     assert link.channels == []
     await link.open()
@@ -82,8 +86,7 @@ async def test_all_vehicles_are_behind_one_channel_px4s_first() -> None:
     await link.close()
 
 
-async def test_heartbeats_keep_their_rate_on_the_loops_clock() -> None:
-    host = Host()
+async def test_heartbeats_keep_their_rate_on_the_loops_clock(host: Host) -> None:
     link = make(host, px4=1, ardupilot=1)
     await link.open()
     await asyncio.sleep(60)
@@ -94,8 +97,7 @@ async def test_heartbeats_keep_their_rate_on_the_loops_clock() -> None:
     await link.close()
 
 
-async def test_an_order_is_carried_out_and_answered_but_not_from_within_the_send() -> None:
-    host = Host()
+async def test_an_order_is_carried_out_and_answered_but_not_from_within_the_send(host: Host) -> None:
     link = make(host, px4=1)
     await link.open()
     await asyncio.sleep(10)
@@ -111,8 +113,7 @@ async def test_an_order_is_carried_out_and_answered_but_not_from_within_the_send
     await link.close()
 
 
-async def test_one_of_several_flies_and_lands_in_virtual_time() -> None:
-    host = Host()
+async def test_one_of_several_flies_and_lands_in_virtual_time(host: Host) -> None:
     link = make(host, px4=1, ardupilot=2)
     await link.open()
     await asyncio.sleep(12)
@@ -130,8 +131,7 @@ async def test_one_of_several_flies_and_lands_in_virtual_time() -> None:
     await link.close()
 
 
-async def test_forwarded_bytes_reach_the_vehicles_too() -> None:
-    host = Host()
+async def test_forwarded_bytes_reach_the_vehicles_too(host: Host) -> None:
     link = make(host, ardupilot=1)
     await link.open()
     await asyncio.sleep(10)
@@ -148,8 +148,7 @@ async def test_forwarded_bytes_reach_the_vehicles_too() -> None:
     await link.close()
 
 
-async def test_after_close_nothing_comes_and_nothing_is_taken() -> None:
-    host = Host()
+async def test_after_close_nothing_comes_and_nothing_is_taken(host: Host) -> None:
     link = make(host, px4=1)
     await link.open()
     await asyncio.sleep(5)
@@ -163,8 +162,7 @@ async def test_after_close_nothing_comes_and_nothing_is_taken() -> None:
     assert not channel.send(own("HEARTBEAT")) and channel.tx_dropped == 1
 
 
-async def test_the_vehicles_live_on_while_the_link_is_closed() -> None:
-    host = Host()
+async def test_the_vehicles_live_on_while_the_link_is_closed(host: Host) -> None:
     link = make(host, px4=1)
     await link.open()
     await asyncio.sleep(5)
@@ -198,8 +196,7 @@ async def test_a_loop_that_stood_still_lives_through_half_a_second_at_most_and_t
     await link.close()
 
 
-async def test_closing_from_within_a_frame_is_safe() -> None:
-    host = Host()
+async def test_closing_from_within_a_frame_is_safe(host: Host) -> None:
     link = make(host, px4=3)
     closed: list[asyncio.Task[None]] = []
 
@@ -213,8 +210,7 @@ async def test_closing_from_within_a_frame_is_safe() -> None:
     assert closed and closed[0].done() and link.channels == []
 
 
-async def test_the_wall_clock_of_the_vehicles_is_ours() -> None:
-    host = Host()
+async def test_the_wall_clock_of_the_vehicles_is_ours(host: Host) -> None:
     before = time.time()
     link = make(host, px4=1)
     await link.open()
@@ -231,8 +227,7 @@ async def test_ids_beyond_255_are_a_link_error() -> None:
     await link.close()
 
 
-async def test_twenty_vehicles_for_a_minute_lose_no_frame() -> None:
-    host = Host()
+async def test_twenty_vehicles_for_a_minute_lose_no_frame(host: Host) -> None:
     link = make(host, px4=10, ardupilot=10)
     await link.open()
     await asyncio.sleep(60)
@@ -243,8 +238,7 @@ async def test_twenty_vehicles_for_a_minute_lose_no_frame() -> None:
     await link.close()
 
 
-async def test_the_conditions_of_the_file_are_those_the_vehicles_fly_in() -> None:
-    host = Host()
+async def test_the_conditions_of_the_file_are_those_the_vehicles_fly_in(host: Host) -> None:
     link = make(
         host, px4=1, ardupilot=1, airframe="ideal", attitude_lag_s=0.1, wind_mps=4.0, wind_from_deg=0.0, gps_noise_m=0.5
     )

@@ -17,7 +17,7 @@ from skygcs.config import models
 from skygcs.core.radio_link.transmit_queue import BOUND, Priority
 from skygcs.errors import LinkError
 from skygcs.events import Event
-from skygcs.links.stream import READ_BYTES
+from skygcs.links.stream import OLD, READ_BYTES
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.links.tcp import TcpClientLink, TcpServerLink
 from support.hosts import RecordingHost, frames_in, heartbeat, open_descriptors, own, text, until
@@ -177,6 +177,31 @@ async def test_a_client_that_takes_nothing_is_closed(monkeypatch: pytest.MonkeyP
         assert not link.failed.done()
         stuck.close()
         reading.close()
+
+
+@on_every_loop
+async def test_connections_of_before_a_standstill_end_with_the_last_of_what_had_waited() -> None:
+    host = RecordingHost()
+    seen = list[bool]()
+    async with serving(host) as link:
+        silent, talks = connect(link), connect(link)
+        await until(lambda: len(link.channels) == 2)
+        host.on_frame = lambda channel, _: seen.append(channel in host.reading.stale)
+        talks.sendall(heartbeat(1) * 1000)
+        early = connect(link)
+        early.sendall(heartbeat(2))
+        host.reading.woke()
+        for channel in link.channels:
+            channel.drop_waiting()
+        await until(lambda: not link.channels)
+        await until(lambda: all(at_end(sock) for sock in (silent, talks, early)))
+        assert seen == [True] * 1000 and {why for _, why in host.detached} == {OLD}
+        anew = connect(link)
+        anew.sendall(heartbeat(3))
+        await until(lambda: len(host.heard) == 1001)
+        assert seen[-1] is False and not host.reading.stale
+        for sock in (silent, talks, early, anew):
+            sock.close()
 
 
 @on_every_loop

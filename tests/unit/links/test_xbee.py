@@ -22,6 +22,7 @@ from skygcs.sim.xbee_mesh import MeshConfig, XBeeMesh
 from support.hosts import RecordingHost, frames_in, open_descriptors, own, text, until
 from support.loops import on_every_loop
 from support.pseudo_tty import PtyRadio
+from support.table import each
 from support.vehicles import flight_dialect
 
 
@@ -81,7 +82,7 @@ def channel_of(link: XBeeLink, air: Air, vehicle: int) -> XBeeChannel:
     return channel
 
 
-@pytest.mark.parametrize("api_mode", [1, 2])
+@each("api_mode", [1, 2])
 @on_every_loop
 async def test_every_node_is_a_channel_and_gets_only_its_own(radio: PtyRadio, api_mode: int) -> None:
     host = RecordingHost()
@@ -128,6 +129,30 @@ async def test_an_emergency_overtakes_what_waits_for_all_nodes(radio: PtyRadio) 
         channel_of(link, air, 1).send(urgent, Priority.EMERGENCY)
         await until(lambda: (1, urgent) in air.heard)
         assert sum(n == 0 for n, _ in air.heard) <= 15, "at most the window went before it"
+
+
+@on_every_loop
+async def test_after_a_standstill_nothing_that_the_module_has_not_taken_is_sent(radio: PtyRadio) -> None:
+    host = RecordingHost()
+    async with opened(radio, host, 2, keys={"broadcast": True}, rf_kbps=10.0) as (link, air):
+        await until(lambda: len(link.channels) == 2 and link.modem.state == "open")
+        channel = channel_of(link, air, 0)
+        while link.modem.has_room():  # so that nothing more can go, whole or in part
+            channel.send(text(255, 1, "x" * 40), Priority.FORWARDED)
+        last = [text(255, n, f"of before {n}") for n in range(3)]
+        for raw in last:
+            channel.send(raw, Priority.COMMAND)
+        assert channel.send(own("HEARTBEAT"), Priority.HEARTBEAT)
+        channel._unsent = long_frame()  # the rest of a payload that was too short for it
+        for each_of in link.channels:
+            each_of.drop_waiting()
+        assert channel.urgency is None and not link._to_all
+        now = text(255, 200, "of now")
+        channel.send(now, Priority.COMMAND)
+        await until(lambda: (0, now) in air.heard)
+        heard = [raw for _, raw in air.heard]
+        assert not set(heard) & {*last, long_frame()}
+        assert not any(raw[7:10] == b"\0\0\0" for raw in heard)  # no heartbeat
 
 
 @on_every_loop

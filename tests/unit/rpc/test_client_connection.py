@@ -69,7 +69,7 @@ def test_a_state_that_is_written_otherwise_is_read_as_json(line: bytes) -> None:
     assert state["name"] == "a"
 
 
-@pytest.mark.parametrize("address", ["/nonexistent/s.sock", "tcp://127.0.0.1:1", "tcp://nonsense"])
+@each("address", ["/nonexistent/s.sock", "tcp://127.0.0.1:1", "tcp://nonsense"])
 async def test_nobody_there_is_said_with_the_address(address: str) -> None:
     with pytest.raises(DaemonUnreachable, match="skygcs run") as error:
         await open_connection(address)
@@ -131,9 +131,8 @@ async def lied_to(path: Path, sent: bytes, times: int = 1) -> AsyncIterator[Clie
     await server.wait_closed()
 
 
-@pytest.mark.parametrize(
-    "sent",
-    [b"\xff\xfe\n", b"[]\n", b"17\n", b'{"method":"event"}\n', b'{"id":1,"error":3}\n', b"[" * 100_000 + b"\n"],
+@each(
+    "sent", [b"\xff\xfe\n", b"[]\n", b"17\n", b'{"method":"event"}\n', b'{"id":1,"error":3}\n', b"[" * 100_000 + b"\n"]
 )
 async def test_what_is_no_answer_ends_the_connection_and_nothing_else(sent: bytes, tmp_path: Path) -> None:
     async with lied_to(tmp_path / "s", sent) as connection:

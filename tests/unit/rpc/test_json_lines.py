@@ -146,7 +146,7 @@ def test_messages_are_json() -> None:
     assert json.loads(notification_start("event", "kind") + b"1}}")["params"] == {"kind": 1}
 
 
-@pytest.mark.parametrize("limit", [0, 3])
+@each("limit", [0, 3])
 def test_a_refusal_names_the_limit(limit: int) -> None:
     buffer = LineBuffer()
     buffer.feed(b"abcd\n")

@@ -17,6 +17,7 @@ from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Later, Method, Meth
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 from skygcs.rpc.replies import error_reply
+from support.table import each
 
 
 def add_one(calls: list[str], _: NoParams) -> int:
@@ -42,6 +43,7 @@ class Installed:
         self.beside.set()
         monkeypatch.setattr(methods_on_demand, "on_demand", self._look)
         monkeypatch.setattr(methods_on_demand, "find_on_demand", self._find)
+        monkeypatch.setattr(methods_on_demand, "installed", lambda: {"glider": "an entry point with a table"})
         self.table: MethodTable[list[str]] = MethodTable((HERE,))
         loop = asyncio.get_running_loop()
         self.dispatcher = Dispatcher(self.table, MethodsOnDemand(self.table, self, self._call, loop))
@@ -127,7 +129,7 @@ async def test_a_failure_to_look_is_remembered_and_answered_in_the_cores_words(m
     assert len(looked) == 1
 
 
-@pytest.mark.parametrize("notification", [False, True])
+@each("notification", [False, True])
 async def test_a_call_that_waited_for_the_import_is_admitted_again_before_it_is_carried_out(
     monkeypatch: pytest.MonkeyPatch, notification: bool
 ) -> None:
@@ -152,6 +154,25 @@ async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_afte
     assert (await answered(found.start([], "kite.dive")))["error"]["code"] == -32601
     assert isinstance(found.start([], "kite.dive"), bytes)
     assert found.done == ["import kite", "make kite"]
+
+
+@each(
+    ("name", "said"),
+    [
+        (
+            "glider.status",
+            "rpc.discover lists the methods; an extension's need its table in the fleet file, as [glider]",
+        ),
+        ("falcon.status", "rpc.discover lists the methods"),
+        ("demon.here", "did you mean daemon.here?"),
+    ],
+)
+async def test_a_refusal_names_only_a_table_that_an_installed_extension_has(
+    monkeypatch: pytest.MonkeyPatch, name: str, said: str
+) -> None:
+    found = Installed(monkeypatch)
+    for _ in range(2):  # the first one looks for the extensions
+        assert (await answered(found.start([], name)))["error"]["message"] == f"no method {name}; {said}"
 
 
 async def test_a_broken_extension_is_an_error_of_the_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:

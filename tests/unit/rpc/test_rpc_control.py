@@ -18,6 +18,7 @@ from skygcs.rpc.control import ControlState, GainsAnswer
 from skygcs.rpc.server import RpcServer
 from support.controlled import FLYING, OFF, ControlledFleet, ControlledVehicle
 from support.fake_daemon import NAMES, FakeDaemon, FakeOutcome
+from support.table import each
 from support.vehicles import Ground, ScriptedVehicle
 
 INVALID_PARAMS = -32602
@@ -88,9 +89,7 @@ async def test_gains_change_only_what_is_named_and_are_told_as_they_are_then(fle
     assert fleet.vehicles["alpha"].orders[-1] == ("change_gains", {"changes": {"z": {"vel_i": 0.0}}, "force": False})
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"xy": {"vel_p": -1}}, {"z": {"p": 1}}, {"hover_thrust": 1}, {"xy": {"vel_i": 101}}, {"xy": 3}]
-)
+@each("wrong", [{"xy": {"vel_p": -1}}, {"z": {"p": 1}}, {"hover_thrust": 1}, {"xy": {"vel_i": 101}}, {"xy": 3}])
 async def test_gains_nobody_can_mean_are_invalid(fleet: Controlled, wrong: dict[str, Any]) -> None:
     assert (await fleet.refused("gains", targets="alpha", **wrong)).code == INVALID_PARAMS
     assert fleet.vehicles["alpha"].orders == []
@@ -109,7 +108,7 @@ async def test_a_setpoint_reaches_each_vehicle_as_it_was_given(fleet: Controlled
     assert answer["outcomes"]["alpha"]["message"] == "refused: control is off"
 
 
-@pytest.mark.parametrize(
+@each(
     ("wrong", "why"),
     [
         ({}, "x is given neither"),

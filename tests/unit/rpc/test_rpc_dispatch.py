@@ -14,14 +14,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
-from skygcs.rpc.dispatch import (
-    Dispatcher,
-    InvalidParams,
-    LimitExceeded,
-    Method,
-    Reply,
-    deadline_refusal,
-)
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, deadline_refusal
 from skygcs.rpc.models import MethodParams, NoParams
 from skygcs.rpc.replies import key_twice, parse
 from support.table import each

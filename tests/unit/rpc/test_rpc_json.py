@@ -25,6 +25,7 @@ from skygcs.rpc.models import MethodParams, NoParams
 from skygcs.rpc.replies import NotJsonError, encode, error_reply, parse, reply_of
 from support.asked import asked
 from support.loops import on_every_loop
+from support.table import each
 
 ANY = st.recursive(
     st.one_of(st.none(), st.booleans(), st.floats(), st.integers(-(2**80), 2**80), st.text(st.characters())),
@@ -51,7 +52,7 @@ def test_whatever_the_daemon_holds_leaves_as_json(value: object) -> None:
     strict(encode({"value": value}))
 
 
-@pytest.mark.parametrize(
+@each(
     ("value", "line"),
     [
         ({"radius_m": math.nan, "height_m": -math.inf}, b'{"radius_m":null,"height_m":null}'),
@@ -75,7 +76,7 @@ for _ in range(3000):
     DEEP = [DEEP]
 
 
-@pytest.mark.parametrize(
+@each(
     ("value", "line"),
     [
         ({"a\udcff": 1}, b'{"a?":1}'),
@@ -101,7 +102,7 @@ class Raises:
     __repr__ = __str__
 
 
-@pytest.mark.parametrize("value", [CIRCLE, DEEP, object(), Raises(), {"\udcff": object()}])
+@each("value", [CIRCLE, DEEP, object(), Raises(), {"\udcff": object()}])
 def test_what_has_no_form_is_one_declared_error_and_a_reply_all_the_same(value: object) -> None:
     with pytest.raises(NotJsonError):
         encode(value)
@@ -110,11 +111,11 @@ def test_what_has_no_form_is_one_declared_error_and_a_reply_all_the_same(value: 
     assert strict(reply_of(value, b"1")) == {"jsonrpc": "2.0", "id": None, "result": 1}
 
 
-@pytest.mark.parametrize(
+@each(
     ("result", "answered"),
     [({"\udcff": 1}, {"?": 1}), ({"a": b"\xff"}, {"a": "?"}), (CIRCLE, None), (DEEP, None), (object(), None)],
 )
-@pytest.mark.parametrize("request_id", [1, 10**20, "a"])
+@each("request_id", [1, 10**20, "a"])
 def test_a_request_is_answered_whatever_its_method_returns(result: object, answered: object, request_id: Any) -> None:
     dispatcher = Dispatcher({"x.y": Method("x.y", NoParams, lambda context, _: result)})
     with capture_logs():  # rich would draw what is nested so deeply for minutes
@@ -123,28 +124,26 @@ def test_a_request_is_answered_whatever_its_method_returns(result: object, answe
     assert answer["result"] == answered if answered is not None else answer["error"]["code"] == INTERNAL_ERROR
 
 
-@pytest.mark.parametrize("given", [[10**5000], CIRCLE, {(1, 2): 3}])
+@each("given", [[10**5000], CIRCLE, {(1, 2): 3}])
 def test_parameters_that_cannot_be_shown_are_refused_in_words(given: object) -> None:
     dispatcher = Dispatcher({"x.y": Method("x.y", Named, lambda context, _: 1)})
     reply = dispatcher.start(None, {"jsonrpc": "2.0", "id": 1, "method": "x.y", "params": {"name": given}})
     assert isinstance(reply, bytes) and "name: should be a valid string" in strict(reply)["error"]["message"]
 
 
-@pytest.mark.parametrize(
-    "number", ["1e999", "-1E+400", "1.5e309", "9" * 400 + ".5", "9" * 300 + "e99", "0." + "9" * 250 + "e310"]
-)
+@each("number", ["1e999", "-1E+400", "1.5e309", "9" * 400 + ".5", "9" * 300 + "e99", "0." + "9" * 250 + "e310"])
 def test_a_number_that_no_float_holds_is_refused(number: str) -> None:
     assert math.isinf(float(number))
     with pytest.raises(ValueError, match=r"too large|number"):
         parse(b'{"id":1,"params":[[%s]]}' % number.encode())
 
 
-@pytest.mark.parametrize("text", ["1e308", "1e-999", "9" * 200, "9" * 400, '"1e999"', '"9e999 \\u00e9"', "0e0000400"])
+@each("text", ["1e308", "1e-999", "9" * 200, "9" * 400, '"1e999"', '"9e999 \\u00e9"', "0e0000400"])
 def test_a_number_or_text_that_only_looks_like_it_is_read(text: str) -> None:
     assert parse(text.encode()) == json.loads(text)
 
 
-@pytest.mark.parametrize("depth", [1, 100, 200])
+@each("depth", [1, 100, 200])
 def test_a_text_with_the_word_beside_a_number_is_told_from_the_number(depth: int) -> None:
     open_, close = b"[" * depth, b"]" * depth
     text = open_ + b'"Infinity",-1e5,"-Infinity 1e999",{"Infinity":' + b"9" * 400 + b"}" + close

@@ -18,6 +18,7 @@ from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Later, Method, Repl
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
+from support.table import each
 
 PART = Later("part", "later_part")
 MODULE = """
@@ -93,24 +94,6 @@ def test_a_table_is_made_without_an_import_and_reading_the_declaration_imports_a
     assert list(declared.table()) == ["here"]  # each server has its own
 
 
-async def test_calls_before_the_import_are_carried_out_in_their_order(
-    module: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server, calls = Server(monkeypatch), list[str]()
-    server.go_on.clear()
-    orders = [asyncio.ensure_future(answered(server.start(calls, "part.set", n))) for n in (1, 2, 3)]
-    shown = asyncio.ensure_future(answered(server.start(calls, "part.get", 4)))
-    await asyncio.sleep(0)
-    assert calls == [] and not server.dispatcher.outlives_client({"method": "part.set"})
-    server.go_on.set()
-    assert [(await order)["result"] for order in orders] == [1, 2, 3]
-    assert (await shown)["result"] == ["set", "set", "set"]
-    assert isinstance(server.start(calls, "part.set"), bytes)  # at once from now on
-    unknown = await answered(server.start(calls, "part.none"))
-    assert unknown["error"]["code"] == -32601
-    assert isinstance(server.start(calls, "part.none"), bytes)
-
-
 async def test_a_first_call_that_is_closed_before_it_began_leaves_nothing_behind(
     module: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,7 +113,7 @@ async def test_a_first_call_that_is_closed_before_it_began_leaves_nothing_behind
     assert (await answered(server.start([], "part.set")))["result"] == 1
 
 
-@pytest.mark.parametrize("cancelled", [False, True])
+@each("cancelled", [False, True])
 async def test_a_later_request_does_not_overtake_one_that_waits(
     module: Path, monkeypatch: pytest.MonkeyPatch, cancelled: bool
 ) -> None:

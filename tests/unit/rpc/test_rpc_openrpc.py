@@ -100,8 +100,8 @@ ORDERS = {
 }
 CHECKED_BY_THE_FLEET = {"targets", "confirm", "same_place", "together"}
 
-OF_PLANS = {"engage"}
-"""Given by a plan only: it engages control itself."""
+OF_THE_DAEMON = {"engage", "spares"}
+"""Given by a plan only, which engages control itself, and by returns only."""
 
 
 @each("order", ORDERS)
@@ -111,7 +111,7 @@ def test_the_parameters_of_an_order_are_those_of_the_actors_method(order: str) -
     if "where" in parameters:
         assert given == Where.__annotations__.keys()
     else:
-        assert given == parameters.keys() - {"self", "actor"} - OF_PLANS
+        assert given == parameters.keys() - {"self", "actor"} - OF_THE_DAEMON
 
 
 @each("order", ["arm", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "mode"])

@@ -6,13 +6,15 @@ from pathlib import Path
 
 from skygcs.rpc import client_peer, openrpc, sessions, work_gate
 from support.extension_parts import ALL_METHODS
-from support.rpc_reference import reference
+from support.rpc_reference import reference, shared
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "rpc.md"
 
 
 def test_every_method_and_parameter_is_described_as_it_is() -> None:
-    assert reference(ALL_METHODS.values()) in PAGE.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
+    assert reference(ALL_METHODS.values()) in text
+    assert all(f"{line}\n" in text for line in shared(ALL_METHODS.values()).values())
 
 
 def test_the_limits_are_those_of_the_server() -> None:

@@ -21,7 +21,8 @@ from skygcs.rpc import client_peer, sessions
 from skygcs.rpc.server import RpcServer
 from support.examples import examples
 from support.fake_daemon import FakeDaemon, FakeOutcome
-from support.rpc_bench import Bench, Peer, running
+from support.rpc_bench import Bench, Peer, running, under_uvloop
+from support.table import each
 
 
 @pytest.fixture
@@ -461,7 +462,7 @@ async def test_another_programs_listening_socket_is_left_alone(tmp_path: Path) -
     assert path.exists()
 
 
-@pytest.mark.parametrize("make", [Path.touch, Path.mkdir])
+@each("make", [Path.touch, Path.mkdir])
 async def test_what_is_no_socket_is_never_removed(tmp_path: Path, make: Any) -> None:
     path = tmp_path / "precious"
     make(path)
@@ -487,7 +488,7 @@ async def test_tcp_answers_after_the_right_token(bench: Bench) -> None:
     assert "result" in await peer.call("daemon.info")
 
 
-@pytest.mark.parametrize(
+@each(
     "first",
     [
         {"jsonrpc": "2.0", "id": 1, "method": "auth", "params": {"token": "open sesam"}},
@@ -521,7 +522,7 @@ async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.M
     assert await peer.answer() is None
 
 
-@pytest.mark.parametrize(
+@each(
     "scenario",
     [
         test_a_batch_is_answered_as_one_without_its_notifications,
@@ -539,17 +540,10 @@ async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.M
 def test_the_same_holds_under_uvloop_which_the_daemon_uses(
     tmp_path: Path, scenario: Callable[[Bench], Coroutine[Any, Any, None]]
 ) -> None:
-    uvloop = pytest.importorskip("uvloop")
-
-    async def run() -> None:
-        async with running(tmp_path) as bench:
-            await scenario(bench)
-
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        runner.run(run())
+    under_uvloop(tmp_path, scenario)
 
 
-@pytest.mark.parametrize("turns", range(5))
+@each("turns", range(5))
 async def test_a_connection_that_is_accepted_while_the_server_closes_is_closed_too(tmp_path: Path, turns: int) -> None:
     server = RpcServer(FakeDaemon(), tmp_path / "s.sock")
     await server.start()

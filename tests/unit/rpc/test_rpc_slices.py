@@ -11,10 +11,11 @@ import pytest
 
 from skygcs.rpc import slices
 from skygcs.rpc.slices import AHEAD_S, LOOK_S, ORDER_S, PAUSE_S, PUT_OFF_S, Slices
+from support.table import each
 
 
-@pytest.mark.parametrize("at_once", [1, 2, 7, 100])
-@pytest.mark.parametrize("number", [0, 1, 2, 7, 8])
+@each("at_once", [1, 2, 7, 100])
+@each("number", [0, 1, 2, 7, 8])
 async def test_a_list_is_the_same_in_any_slices(number: int, at_once: int) -> None:
     values = [{"n": n, "text": ",[]", "list": []} for n in range(number)]
     assert json.loads(await Slices(asyncio.get_running_loop()).encoded_list(values, at_once)) == values

@@ -55,9 +55,13 @@ async def settle() -> None:
         await asyncio.sleep(0)
 
 
+@pytest.fixture
+async def reported() -> Told:
+    return Told()
+
+
 @pytest.mark.looptime
-async def test_telemetry_begins_at_once_and_keeps_its_rate() -> None:
-    reported = Told()
+async def test_telemetry_begins_at_once_and_keeps_its_rate(reported: Told) -> None:
     reader, _ = reported.add(topic="telemetry", rate_hz=5)
     await settle()
     first = reader.take()
@@ -96,8 +100,7 @@ async def test_states_that_take_long_are_written_in_slices_with_pauses_for_an_or
 
 
 @pytest.mark.looptime
-async def test_states_wait_for_a_control_tick_that_is_due_but_not_for_long() -> None:
-    reported = Told()
+async def test_states_wait_for_a_control_tick_that_is_due_but_not_for_long(reported: Told) -> None:
     loop = asyncio.get_running_loop()
     reported.daemon.fleet.control_tick_at = loop.time()  # and nobody carries it out
     reader, _ = reported.add(topic="telemetry", rate_hz=5)
@@ -121,8 +124,7 @@ async def test_telemetry_is_two_a_second_if_nothing_is_said() -> None:
 
 
 @pytest.mark.looptime
-async def test_a_state_is_made_once_per_tick_for_all_subscribers() -> None:
-    reported = Told()
+async def test_a_state_is_made_once_per_tick_for_all_subscribers(reported: Told) -> None:
     for number in range(20):
         reported.add(number, topic="telemetry", rate_hz=10)
     reported.add(21, topic="telemetry", rate_hz=2)
@@ -134,8 +136,7 @@ async def test_a_state_is_made_once_per_tick_for_all_subscribers() -> None:
 
 
 @pytest.mark.looptime
-async def test_a_slow_reader_gets_fewer_and_fresh_states_and_the_others_all() -> None:
-    reported = Told()
+async def test_a_slow_reader_gets_fewer_and_fresh_states_and_the_others_all(reported: Told) -> None:
     slow, _ = reported.add(1, topic="telemetry", rate_hz=10, names=["mode"])
     quick, _ = reported.add(2, topic="telemetry", rate_hz=10, names=["mode"])
     await settle()
@@ -179,8 +180,7 @@ async def test_every_vehicle_has_its_turn_with_a_reader_that_takes_little() -> N
 
 
 @pytest.mark.looptime
-async def test_only_the_wanted_sections_and_vehicles_are_sent() -> None:
-    reported = Told()
+async def test_only_the_wanted_sections_and_vehicles_are_sent(reported: Told) -> None:
     reader, _ = reported.add(topic="telemetry", targets="1,carol", names=["battery", "links"])
     await settle()
     update = reader.take()
@@ -192,8 +192,7 @@ async def test_only_the_wanted_sections_and_vehicles_are_sent() -> None:
 
 
 @pytest.mark.looptime
-async def test_vehicles_that_come_later_belong_to_all_and_to_their_group() -> None:
-    reported = Told()
+async def test_vehicles_that_come_later_belong_to_all_and_to_their_group(reported: Told) -> None:
     late = reported.daemon.fleet.vehicles.pop(3 << 8 | 1)
     everyone, _ = reported.add(1, topic="telemetry")
     red, _ = reported.add(2, topic="telemetry", targets="red")
@@ -207,8 +206,7 @@ async def test_vehicles_that_come_later_belong_to_all_and_to_their_group() -> No
 
 
 @pytest.mark.looptime
-async def test_all_may_be_nobody_yet_but_any_other_target_must_name_somebody() -> None:
-    reported = Told()
+async def test_all_may_be_nobody_yet_but_any_other_target_must_name_somebody(reported: Told) -> None:
     reported.daemon.fleet.vehicles.clear()
     reader, _ = reported.add(topic="telemetry")
     await asyncio.sleep(1)
@@ -220,8 +218,7 @@ async def test_all_may_be_nobody_yet_but_any_other_target_must_name_somebody() -
 
 
 @pytest.mark.looptime
-async def test_a_vehicle_whose_state_fails_does_not_stop_the_others() -> None:
-    reported = Told()
+async def test_a_vehicle_whose_state_fails_does_not_stop_the_others(reported: Told) -> None:
     reported.daemon.vehicle("bravo").state_fails = ZeroDivisionError("a bug")
     reader, _ = reported.add(topic="telemetry", rate_hz=1)
     await asyncio.sleep(3.01)
@@ -230,8 +227,7 @@ async def test_a_vehicle_whose_state_fails_does_not_stop_the_others() -> None:
 
 
 @pytest.mark.looptime
-async def test_nothing_runs_and_nobody_listens_without_subscriptions() -> None:
-    reported = Told()
+async def test_nothing_runs_and_nobody_listens_without_subscriptions(reported: Told) -> None:
     subscriptions = [reported.add(i, topic=t)[1] for i, t in enumerate(("telemetry", "events", "messages"))]
     await settle()
     for subscription in subscriptions:
@@ -245,8 +241,7 @@ async def test_nothing_runs_and_nobody_listens_without_subscriptions() -> None:
 
 
 @pytest.mark.looptime
-async def test_events_of_the_wanted_kinds_and_vehicles_come_in_order() -> None:
-    reported = Told()
+async def test_events_of_the_wanted_kinds_and_vehicles_come_in_order(reported: Told) -> None:
     everything, _ = reported.add(1, topic="events")
     arming, _ = reported.add(2, topic="events", names=["armed"], targets="alpha,bravo")
     for kind, vehicle in (("armed", "alpha"), ("mode", "alpha"), ("armed", "carol"), ("link_up", None)):
@@ -266,8 +261,7 @@ async def test_events_of_the_wanted_kinds_and_vehicles_come_in_order() -> None:
 
 @pytest.mark.looptime
 @pytest.mark.parametrize("topic", ["events", "messages"])
-async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(topic: str) -> None:
-    reported = Told()
+async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(reported: Told, topic: str) -> None:
     reader, subscription = reported.add(topic=topic)
     reader.writable = False
     for i in range(QUEUED + 40):
@@ -288,8 +282,7 @@ async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(topic: str) -
 
 
 @pytest.mark.looptime
-async def test_messages_are_decoded_with_their_source_and_age() -> None:
-    reported = Told()
+async def test_messages_are_decoded_with_their_source_and_age(reported: Told) -> None:
     reader, _ = reported.add(topic="messages", names=["attitude", 0])
     reported.daemon.hear("ATTITUDE", roll=float("nan"), pitch=0.5)
     reported.daemon.hear("SYS_STATUS")
@@ -305,8 +298,7 @@ async def test_messages_are_decoded_with_their_source_and_age() -> None:
 
 
 @pytest.mark.looptime
-async def test_messages_that_waited_say_how_old_they_are() -> None:
-    reported = Told()
+async def test_messages_that_waited_say_how_old_they_are(reported: Told) -> None:
     reader, subscription = reported.add(topic="messages")
     reader.writable = False
     reported.daemon.hear("ATTITUDE")
@@ -317,8 +309,7 @@ async def test_messages_that_waited_say_how_old_they_are() -> None:
 
 
 @pytest.mark.looptime
-async def test_messages_of_one_target_only() -> None:
-    reported = Told()
+async def test_messages_of_one_target_only(reported: Told) -> None:
     reader, _ = reported.add(topic="messages", targets="bravo")
     reported.daemon.hear("ATTITUDE", sysid=1)
     reported.daemon.hear("ATTITUDE", sysid=2)
@@ -327,8 +318,7 @@ async def test_messages_of_one_target_only() -> None:
 
 
 @pytest.mark.looptime
-async def test_the_rate_of_messages_is_limited_per_name_and_source() -> None:
-    reported = Told()
+async def test_the_rate_of_messages_is_limited_per_name_and_source(reported: Told) -> None:
     limited, _ = reported.add(1, topic="messages", rate_hz=2)
     full, _ = reported.add(2, topic="messages")
     for _ in range(100):

@@ -12,20 +12,15 @@ import pytest
 
 from skygcs.errors import RefusedError, TargetError
 from skygcs.rpc.dispatch import LimitExceeded, Method
-from skygcs.rpc.models import TargetsParams
+from skygcs.rpc.models import NoParams, TargetsParams
 from skygcs.rpc.work_gate import MAX_ITEMS_OF_A_CLIENT, WorkGate
 from support.extension_parts import ALL_METHODS
 
 pytestmark = pytest.mark.looptime
 
 FLEET = [SimpleNamespace(name=f"v{number}") for number in range(250)]
-COUNTED = [
-    method
-    for method in ALL_METHODS.values()
-    if inspect.iscoroutinefunction(method.handler)
-    and {"targets", "target"} & set(method.params.model_fields)
-    and (method.ends_flight or not method.always)
-]
+COROUTINES = [method for method in ALL_METHODS.values() if inspect.iscoroutinefunction(method.handler)]
+COUNTED = [method for method in COROUTINES if method.goes_to != "nothing" and (method.ends_flight or not method.always)]
 
 
 def resolve(targets: str) -> list[SimpleNamespace]:
@@ -74,7 +69,7 @@ async def begun(gate: WorkGate, called: Method[Any], client: Client, targets: st
 @pytest.mark.parametrize("name", [method.name for method in COUNTED])
 async def test_every_method_of_the_table_that_waits_for_vehicles_is_counted(name: str) -> None:
     gate, work = WorkGate(resolve), Work()
-    called = dataclasses.replace(ALL_METHODS[name], handler=work)
+    called = dataclasses.replace(ALL_METHODS[name], handler=work, reached=None)  # these: the next test
     params = called.params.model_construct(targets="all", target="all")
     task = asyncio.ensure_future(gate.carry_out(called, Client(), params))
     await asyncio.sleep(0)
@@ -84,9 +79,64 @@ async def test_every_method_of_the_table_that_waits_for_vehicles_is_counted(name
     assert gate.bound.items == 0
 
 
+@pytest.mark.parametrize(
+    ("name", "params", "items"),
+    [
+        ("plan.check", {"vehicles": {"a": "v1", "b": "v7", "c": "v9"}}, 3),
+        ("plan.run", {"vehicles": {"a": "v1", "b": "nobody"}}, 1),
+        ("plan.check", {}, 2),
+        ("plan.resume", {}, 1),
+    ],
+)
+async def test_a_plan_is_counted_by_the_vehicles_that_fly_it(name: str, params: dict[str, Any], items: int) -> None:
+    """With 240 vehicles two checks of a plan for three took all the room of a web process' browsers."""
+    by_name = {actor.name: actor for actor in FLEET}
+
+    def resolve_one(target: str) -> list[SimpleNamespace]:
+        if target not in by_name:
+            raise TargetError(f"there is no {target}")
+        return [by_name[target]]
+
+    gate, work = WorkGate(resolve_one), Work()
+    starts = {"v3": (0.0, 0.0, 0.0), "v4": (5.0, 0.0, 0.0)}
+    runner = SimpleNamespace(
+        kept=SimpleNamespace(plan=SimpleNamespace(starts=starts)), flight=SimpleNamespace(actors={"v3": None})
+    )
+    services = SimpleNamespace(extensions={"plan": SimpleNamespace(runner=runner)})
+    client: Any = SimpleNamespace(client=1, reports=None, services=services)
+    called = dataclasses.replace(ALL_METHODS[name], handler=work)
+    task = asyncio.ensure_future(gate.carry_out(called, client, called.params(**params)))
+    await asyncio.sleep(0)
+    assert work.begun == 1 and gate.bound.items == items
+    work.end.set()
+    await task
+
+
+async def test_a_method_that_declares_nothing_is_counted_as_the_whole_fleet() -> None:
+    gate, work = WorkGate(resolve), Work()
+    undeclared = Method("beacon.clear", NoParams, work)
+    task = asyncio.ensure_future(gate.carry_out(undeclared, Client(), NoParams()))
+    await asyncio.sleep(0)
+    assert gate.bound.items == len(FLEET)
+    work.end.set()
+    await task
+    assert gate.bound.items == 0
+    local = dataclasses.replace(undeclared, reach="nothing")
+    task = asyncio.ensure_future(gate.carry_out(local, Client(), NoParams()))
+    await asyncio.sleep(0)
+    assert gate.bound.items == 0
+    await task
+
+
+def test_a_method_without_targets_declares_what_it_reaches() -> None:
+    undeclared = [m.name for m in COROUTINES if m.reach is None and m.goes_to == "fleet"]
+    assert undeclared == []
+
+
 def test_the_table_has_what_a_fleet_is_asked() -> None:
     names = {method.name for method in COUNTED}
     assert names >= {"vehicles.hold", "vehicles.mode", "preflight.run", "params.list", "missions.upload", "logs.list"}
+    assert names >= {"plan.run", "plan.check", "plan.resume", "formation.start", "drills.begin", "undo.run"}
     assert {method.name for method in COUNTED if method.ends_flight} == {
         f"vehicles.{order}" for order in ("land", "rtl", "hold", "stop", "disarm")
     }

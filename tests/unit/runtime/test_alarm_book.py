@@ -23,11 +23,7 @@ class Bench:
         loop = asyncio.get_running_loop()
         self.percent: float | None = 80.0
         self.vehicle: Any = SimpleNamespace(
-            name="a",
-            armed=True,
-            connected=True,
-            replayed=False,
-            telemetry=lambda group: {"percent": self.percent},
+            name="a", armed=True, connected=True, replayed=False, telemetry=lambda group: {"percent": self.percent}
         )
         self.events = EventLog(loop.time)
         self.disk = DiskWriter(loop, self.events.publish)

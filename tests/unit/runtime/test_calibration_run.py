@@ -41,26 +41,20 @@ class Field(SimField):
 
 
 @FIRMWARES
-@pytest.mark.parametrize("sensor", [Sensor.GYRO, Sensor.LEVEL, Sensor.COMPASS])
-async def test_a_sensor_is_calibrated(px4: bool, sensor: Sensor) -> None:
-    async with Field(px4) as field:
-        outcome = await field.actor.calibrate(sensor)
-        assert outcome.ok, outcome
-        assert field.actor.calibration.status() is None
-        if px4 or sensor is Sensor.COMPASS:
-            percents = [data["percent"] for data in field.progress() if data["percent"] is not None]
-            assert percents == sorted(percents) and len(set(percents)) >= 4
-
-
-@FIRMWARES
 async def test_one_calibration_right_after_another_and_no_reboot_is_reported(px4: bool) -> None:
     """On the real firmwares a PX4 refused the second one for a moment, and an ArduCopter that had been up for long sent
     "Initialising ArduPilot" while it calibrates."""
     async with Field(px4) as field:
         await asyncio.sleep(40.0)
-        for sensor in (Sensor.GYRO, Sensor.LEVEL):
+        for sensor in (Sensor.GYRO, Sensor.LEVEL, Sensor.COMPASS):
+            begun = len(field.events)
             outcome = await field.actor.calibrate(sensor)
             assert outcome.ok, outcome
+            assert field.actor.calibration.status() is None
+            if px4 or sensor is Sensor.COMPASS:
+                told = [event.data["percent"] for event in field.events[begun:] if event.kind == "calibration"]
+                percents = [percent for percent in told if percent is not None]
+                assert percents == sorted(percents) and len(set(percents)) >= 4, sensor
         assert not [event for event in field.events if event.kind == "reboot"]
 
 
@@ -112,8 +106,14 @@ async def test_a_pose_that_was_not_taken_is_asked_for_again() -> None:
 
 
 @FIRMWARES
-async def test_nothing_is_sent_to_an_armed_vehicle(px4: bool) -> None:
+async def test_what_does_not_fit_is_refused(px4: bool) -> None:
     async with Field(px4) as field:
+        for order in (field.actor.confirm_pose, field.actor.cancel_calibration):
+            assert (await order()).message == "refused: it is not being calibrated"
+        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        await asyncio.sleep(2.0)
+        assert (await field.actor.calibrate(Sensor.GYRO)).message == "refused: its compass is being calibrated"
+        assert (await run).ok
         await asyncio.sleep(15.0)
         assert (await field.actor.arm(force=True)).ok
         field.sent.clear()
@@ -123,50 +123,29 @@ async def test_nothing_is_sent_to_an_armed_vehicle(px4: bool) -> None:
 
 
 @FIRMWARES
-async def test_one_calibration_at_a_time(px4: bool) -> None:
+async def test_an_order_a_client_that_goes_and_the_end_of_the_daemon_cancel_it(px4: bool) -> None:
     async with Field(px4) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
-        await asyncio.sleep(2.0)
-        assert (await field.actor.calibrate(Sensor.GYRO)).message == "refused: its compass is being calibrated"
-        assert (await run).ok
 
+        async def ordered(run: asyncio.Future[Any]) -> None:
+            assert (await field.actor.cancel_calibration()).ok
+            assert (await run).result == "cancelled"
 
-@FIRMWARES
-async def test_confirm_and_cancel_without_a_calibration_are_refused(px4: bool) -> None:
-    async with Field(px4) as field:
-        for order in (field.actor.confirm_pose, field.actor.cancel_calibration):
-            assert (await order()).message == "refused: it is not being calibrated"
+        async def gone(run: asyncio.Future[Any]) -> None:
+            run.cancel()
+            await asyncio.gather(run, return_exceptions=True)
+            await asyncio.sleep(2.0)
+            assert field.actor.calibration.status() is None
 
+        async def ended(run: asyncio.Future[Any]) -> None:
+            await field.actor.wind_down()
+            assert (await run).result == "cancelled"
 
-@FIRMWARES
-async def test_a_compass_calibration_is_cancelled(px4: bool) -> None:
-    async with Field(px4) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
-        await asyncio.sleep(4.0)
-        assert (await field.actor.cancel_calibration()).ok
-        assert (await run).result == "cancelled"
-        assert field.simulated.calibration is None
-
-
-@FIRMWARES
-async def test_a_client_that_goes_cancels_its_calibration(px4: bool) -> None:
-    async with Field(px4) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
-        await asyncio.sleep(4.0)
-        run.cancel()
-        await asyncio.gather(run, return_exceptions=True)
-        await asyncio.sleep(2.0)
-        assert field.simulated.calibration is None
-        assert field.actor.calibration.status() is None
-
-
-@FIRMWARES
-async def test_the_end_of_the_daemon_cancels_it(px4: bool) -> None:
-    async with Field(px4) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
-        await asyncio.sleep(4.0)
-        await field.actor.wind_down()
-        assert (await run).result == "cancelled" and field.simulated.calibration is None
+        for end in (ordered, gone, ended):
+            run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+            await asyncio.sleep(4.0)
+            assert field.simulated.calibration is not None, end
+            await end(run)
+            assert field.simulated.calibration is None, end
 
 
 async def test_a_px4_whose_last_text_is_lost_is_seen_to_have_ended() -> None:

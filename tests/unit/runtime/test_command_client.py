@@ -11,8 +11,6 @@ import pytest
 
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.protocols.command import RETRY_TIMERS_S, SETTLE_S, Ack, CommandSpec, Outcome
-from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.gate import Clearance
 from skygcs.runtime.command_client import LATE_ACK_S, CommandClient
 from support.vehicles import flight_dialect
 
@@ -30,17 +28,7 @@ class BadRadio:
         self.accepted: set[float] = set()
         self.sent = 0
 
-    def _send(
-        self,
-        info: MessageInfo,
-        values: Mapping[str, Any],
-        sysid: int,
-        compid: int,
-        priority: Priority,
-        *,
-        everywhere: bool = False,
-        clearance: Clearance | None = None,
-    ) -> bool:
+    def _send(self, info: MessageInfo, values: Mapping[str, Any], *_: Any, **__: Any) -> bool:
         self.sent += 1
         self._through(self._vehicle, dict(values))
         return True
@@ -76,7 +64,7 @@ async def test_over_a_lossy_slow_link_every_command_ends_once_with_its_own_answe
         assert outcome.elapsed_s <= sum(RETRY_TIMERS_S) + SETTLE_S
     assert sum(o.result != "timeout" for o in outcomes.values()) >= 30
     assert not commands.commanding
-    commands.close()
+    commands.close("the test ends")
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -150,8 +138,23 @@ async def test_closing_ends_everything_as_cancelled() -> None:
     radio = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0)
     task = asyncio.create_task(radio.commands.run(CommandSpec(400, (1.0,))))
     await asyncio.sleep(0.1)
-    radio.commands.close()
+    radio.commands.close("the test ends")
     assert (await task).result == "cancelled"
+
+
+async def test_what_waits_for_its_turn_when_it_closes_is_never_sent() -> None:
+    radio = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0)
+    first, second, third = (asyncio.create_task(radio.commands.run(CommandSpec(511, (n,)))) for n in (2.0, 4.0, 6.0))
+    await asyncio.sleep(0.1)
+    assert radio.sent == 1
+    radio.commands.close("skygcs stood still for 10 s")
+    assert not radio.commands.transmit("COMMAND_LONG", {"command": 511})
+    assert not radio.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": 1})
+    for task in (first, second, third):
+        outcome = await task
+        assert (outcome.result, outcome.message.endswith("stood still for 10 s")) == ("cancelled", True), outcome
+    assert (await radio.commands.run(CommandSpec(400, (2.0,)), emergency=True)).result == "cancelled"
+    assert radio.sent == 1
 
 
 async def test_a_dialect_without_commands_refuses_them() -> None:

@@ -58,8 +58,12 @@ class Ticked:
         self.on_tick()
 
 
-def test_the_first_tick_comes_at_once_and_the_rest_a_period_apart() -> None:
-    ticked = Ticked()
+@pytest.fixture
+def ticked() -> Ticked:
+    return Ticked()
+
+
+def test_the_first_tick_comes_at_once_and_the_rest_a_period_apart(ticked: Ticked) -> None:
     assert not ticked.clock.running
     ticked.clock.start()
     assert ticked.clock.running
@@ -89,8 +93,7 @@ def test_clocks_of_other_phases_tick_one_after_the_other(period_s: float, first_
     assert ticked.at == pytest.approx([first_s, first_s + period_s])
 
 
-def test_a_late_tick_does_not_move_the_next() -> None:
-    ticked = Ticked()
+def test_a_late_tick_does_not_move_the_next(ticked: Ticked) -> None:
     ticked.clock.start()
     ticked.loop.run()
     ticked.loop.run(late_s=0.009)
@@ -99,8 +102,7 @@ def test_a_late_tick_does_not_move_the_next() -> None:
     assert (ticked.clock.late, ticked.clock.skipped) == (1, 0)
 
 
-def test_lateness_of_always_a_little_does_not_add_up() -> None:
-    ticked = Ticked()
+def test_lateness_of_always_a_little_does_not_add_up(ticked: Ticked) -> None:
     ticked.clock.start()
     for _ in range(501):
         ticked.loop.run(late_s=0.004)
@@ -108,8 +110,7 @@ def test_lateness_of_always_a_little_does_not_add_up() -> None:
     assert ticked.clock.late == 0 < LATE_S
 
 
-def test_deadlines_that_have_passed_are_skipped_counted_and_not_made_up_for() -> None:
-    ticked = Ticked()
+def test_deadlines_that_have_passed_are_skipped_counted_and_not_made_up_for(ticked: Ticked) -> None:
     ticked.clock.start()
     ticked.loop.run()
     ticked.loop.run(late_s=0.05)  # at 0.07: those of 0.04 and 0.06 are over
@@ -118,8 +119,7 @@ def test_deadlines_that_have_passed_are_skipped_counted_and_not_made_up_for() ->
     assert (ticked.clock.ticks, ticked.clock.late, ticked.clock.skipped) == (3, 1, 2)
 
 
-def test_a_suspended_process_skips_without_a_burst() -> None:
-    ticked = Ticked()
+def test_a_suspended_process_skips_without_a_burst(ticked: Ticked) -> None:
     ticked.clock.start()
     ticked.loop.run()
     ticked.loop.run(late_s=3600.0)
@@ -145,8 +145,7 @@ def test_each_tick_sets_one_timer_whatever_rounding_does_to_its_deadline() -> No
     assert len(set_at) == 100
 
 
-def test_goes_on_after_a_tick_that_failed() -> None:
-    ticked = Ticked()
+def test_goes_on_after_a_tick_that_failed(ticked: Ticked) -> None:
     ticked.clock.start()
 
     def fail() -> None:
@@ -183,8 +182,7 @@ def test_a_slower_period_holds_from_the_next_tick_on_a_faster_one_at_once() -> N
     assert ticked.clock.skipped == 0 and len(ticked.loop.due()) == 1
 
 
-def test_a_tick_may_stop_the_clock() -> None:
-    ticked = Ticked()
+def test_a_tick_may_stop_the_clock(ticked: Ticked) -> None:
     ticked.on_tick = ticked.clock.stop
     ticked.clock.start()
     ticked.loop.run()
@@ -192,8 +190,7 @@ def test_a_tick_may_stop_the_clock() -> None:
     ticked.clock.stop()  # idempotent
 
 
-def test_a_tick_may_stop_and_start_it_without_a_second_clock_running() -> None:
-    ticked = Ticked()
+def test_a_tick_may_stop_and_start_it_without_a_second_clock_running(ticked: Ticked) -> None:
 
     def restart() -> None:
         ticked.on_tick = lambda: None
@@ -209,8 +206,7 @@ def test_a_tick_may_stop_and_start_it_without_a_second_clock_running() -> None:
     assert ticked.at == pytest.approx([0.0, 0.0, 0.02])
 
 
-def test_starting_twice_is_starting_once_and_a_restart_is_not_late() -> None:
-    ticked = Ticked()
+def test_starting_twice_is_starting_once_and_a_restart_is_not_late(ticked: Ticked) -> None:
     ticked.clock.start()
     ticked.clock.start()
     assert len(ticked.loop.due()) == 1
@@ -237,8 +233,7 @@ def test_a_clock_is_among_the_running_ones_while_it_runs_and_tells_when_it_is_du
     assert not running
 
 
-def test_of_the_last_ticks_the_99th_percentile_of_lateness_is_told() -> None:
-    ticked = Ticked()
+def test_of_the_last_ticks_the_99th_percentile_of_lateness_is_told(ticked: Ticked) -> None:
     assert ticked.clock.lateness_p99_s() is None and ticked.clock.as_dict()["lateness_p99_s"] is None
     ticked.clock.start()
     for i in range(TICKS_KEPT):

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,9 +21,11 @@ from skygcs.runtime.flight_journal import FILE, FORMAT, MAX_NOTES, FlightJournal
 NOTE = FlightNote(1, 1, "alpha", True, "this station's setpoints", ((1.5, b"\xfd\x00"),), 246.0, 40.0)
 
 
-def journal(folder: Path, events: list[Event] | None = None) -> FlightJournal:
+def journal(
+    folder: Path, events: list[Event] | None = None, clock: Callable[[], float] = time.monotonic
+) -> FlightJournal:
     on_event = ([] if events is None else events).append
-    return FlightJournal(folder, DiskWriter(asyncio.get_running_loop(), on_event), on_event)
+    return FlightJournal(folder, DiskWriter(asyncio.get_running_loop(), on_event), on_event, clock)
 
 
 async def written(made: FlightJournal, *notes: FlightNote) -> None:
@@ -30,7 +36,10 @@ async def written(made: FlightJournal, *notes: FlightNote) -> None:
 async def test_what_was_noted_is_recalled(tmp_path: Path) -> None:
     await written(journal(tmp_path / "new"), NOTE)
     again = journal(tmp_path / "new")
-    assert again.recall() == [NOTE] and not again.unreadable
+    (found,) = again.recall()
+    ((at, raw),) = found.frames
+    assert replace(found, frames=NOTE.frames) == NOTE and not again.unreadable
+    assert raw == NOTE.frames[0][1] and at == pytest.approx(NOTE.frames[0][0], abs=1.0)  # the wall clock is read twice
 
 
 async def test_without_a_file_nothing_is_recalled_and_nothing_is_wrong(tmp_path: Path) -> None:
@@ -88,3 +97,28 @@ async def test_a_disk_that_is_full_leaves_no_old_note_to_be_believed(
     assert "cannot be written" in events[0].text
     again = journal(tmp_path)
     assert again.recall() == [] and again.unreadable
+
+
+@pytest.mark.parametrize(("boot", "moved_s"), [("of this start", 0.0), ("of another start", 7200.0)])
+async def test_a_wall_clock_that_was_set_makes_no_note_of_the_same_start_older(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boot: str, moved_s: float
+) -> None:
+    """A step of two hours forward between the last note and a restart: the flight was forgotten."""
+    monkeypatch.setattr(flight_journal, "boot_id", lambda: "of this start")
+    wall = [1_700_000_000.0]
+    monkeypatch.setattr(flight_journal, "time", SimpleNamespace(time=lambda: wall[0]))
+    at = wall[0] - 3.0
+    await written(journal(tmp_path, clock=lambda: 500.0), replace(NOTE, frames=((at, b"\xfd\x00"),)))
+    wall[0] += 7200.0 + 5.0
+    monkeypatch.setattr(flight_journal, "boot_id", lambda: boot)
+    ((heard_at, _),) = journal(tmp_path, clock=lambda: 505.0).recall()[0].frames
+    assert wall[0] - heard_at == pytest.approx(8.0 + moved_s)
+
+
+@pytest.mark.parametrize("more", [{}, {"boot_id": "", "unix_less_boot_s": 0.0}, {"boot_id": 7, "unix_less_boot_s": []}])
+async def test_a_journal_that_does_not_say_its_start_is_read_by_the_wall_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, object]
+) -> None:
+    monkeypatch.setattr(flight_journal, "boot_id", lambda: "")
+    (tmp_path / FILE).write_text(json.dumps({"format": FORMAT, "notes": [NOTE.as_json()], **more}))
+    assert journal(tmp_path).recall() == [NOTE]

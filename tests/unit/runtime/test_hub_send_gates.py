@@ -250,7 +250,7 @@ async def test_no_fast_path_leads_to_a_gated_vehicle_and_those_to_others_stay() 
         alpha.sendto(heartbeat(ALPHA), ("127.0.0.1", air.bound_port))
         own.sendto(heartbeat(OWN), ("127.0.0.1", air.bound_port))
         await until(lambda: len(air.channels) == 2)
-        await until(lambda: len(hub.router.routes()) == 2)
+        await until(lambda: len(hub.router.table.routes()) == 2)
         for seq in range(20):
             station.sendto(heartbeat(GCS, 190, seq=seq, gcs=True), ("127.0.0.1", ground.bound_port))
             await asyncio.sleep(0.002)

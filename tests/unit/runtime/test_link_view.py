@@ -40,12 +40,7 @@ class Air:
     """A hub with radios and other links, and vehicles heard over them; all that ``flown`` names are flown."""
 
     def __init__(self) -> None:
-        self.hub = Hub(
-            FleetConfig(),
-            DIALECT,
-            asyncio.get_running_loop(),
-            lambda event: None,
-        )
+        self.hub = Hub(FleetConfig(), DIALECT, asyncio.get_running_loop(), lambda event: None)
         connect(self.hub)
         self.vehicles: list[Vehicle] = []
 

@@ -33,6 +33,16 @@ class Field(SimField):
         outcomes = await self.fleet.orders.command_all("all", VehicleActor.disarm)
         assert all(o.ok for o in outcomes.values()), outcomes
 
+    def setpoint_here(self, actor: VehicleActor) -> bytes:
+        """A position target of where it is."""
+        here = actor.vehicle.telemetry("position")
+        assert here is not None
+        values = {
+            **{"target_system": actor.sysid, "target_component": 1, "coordinate_frame": 6, "type_mask": 0xDF8},
+            **{"lat_int": round(here["lat_deg"] * 1e7), "lon_int": round(here["lon_deg"] * 1e7), "alt": 10.0},
+        }
+        return encode(self.dialect.by_name["SET_POSITION_TARGET_GLOBAL_INT"], values, sysid=255, compid=25, seq=0)
+
     def up_m(self, actor: VehicleActor) -> float:
         enu = actor.vehicle.enu_m()
         assert enu is not None
@@ -45,16 +55,16 @@ def done(outcomes: dict[str, Outcome]) -> bool:
 
 
 async def test_a_mixed_fleet_takes_off_goes_somewhere_holds_and_lands() -> None:
-    async with Field(px4=2, ardupilot=2) as field:
+    async with Field(px4=1, ardupilot=1) as field:
         fleet = field.fleet
-        assert [a.vehicle.family for a in fleet.resolve("all")] == ["px4", "px4", "ardupilot", "ardupilot"]
+        assert [a.vehicle.family for a in fleet.resolve("all")] == ["px4", "ardupilot"]
         await field.ready()
         assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 8.0))
         await asyncio.sleep(25)
         for actor in fleet.resolve("all"):
             assert actor.vehicle.in_air(field.loop.time())
             assert field.up_m(actor) == pytest.approx(8.0, abs=1.0)
-        goals = {1: (20.0, 0.0), 2: (20.0, 20.0), 3: (-20.0, 0.0), 4: (-20.0, 20.0)}
+        goals = {1: (20.0, 20.0), 2: (-20.0, 0.0)}
         for sysid, (east, north) in goals.items():
             outcome = await fleet.find(sysid).goto(enu_m=[east, north, 12.0])
             assert outcome.ok, outcome.message
@@ -70,9 +80,11 @@ async def test_a_mixed_fleet_takes_off_goes_somewhere_holds_and_lands() -> None:
             assert not actor.vehicle.armed
             assert actor.vehicle.landed(field.loop.time()) == "on_ground"
             assert field.up_m(actor) == pytest.approx(0.0, abs=0.5)
+            state = actor.state(field.loop.time())  # known without being asked for by a person
+            assert state["firmware"] is not None and state["home"] is not None and state["uptime_s"] > 50
 
 
-async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold() -> None:
+async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold_whatever_was_sent_before() -> None:
     async with Field(px4=1, ardupilot=1) as field:
         fleet = field.fleet
         await field.ready()
@@ -92,36 +104,20 @@ async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold() -
         await asyncio.sleep(40)
         for actor in fleet.resolve("all"):
             assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
-
-
-async def test_a_setpoint_that_arrives_after_a_goto_does_not_end_it() -> None:
-    """It was sent before, over a slower link; an ArduCopter flies back to it, a PX4 in LOITER does not obey it."""
-    async with Field(px4=1, ardupilot=1) as field:
-        fleet = field.fleet
-        await field.ready()
-        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 10.0))
-        await asyncio.sleep(25)
+        # a setpoint that was sent before, over a slower link: an ArduCopter would fly back to it, a PX4 in LOITER not
         assert done(await fleet.orders.command_all("all", VehicleActor.hold))
         for actor in fleet.resolve("all"):
-            here = actor.vehicle.telemetry("position")
-            assert here is not None
-            values = {
-                "target_system": actor.sysid,
-                "target_component": 1,
-                "coordinate_frame": 6,
-                "type_mask": 0xDF8,
-                "lat_int": round(here["lat_deg"] * 1e7),
-                "lon_int": round(here["lon_deg"] * 1e7),
-                "alt": 10.0,
-            }
-            stale = encode(field.dialect.by_name["SET_POSITION_TARGET_GLOBAL_INT"], values, sysid=255, compid=25, seq=0)
-            field.loop.call_later(1.2, field.deliver, stale)
-        outcomes = await fleet.orders.command_all("all", VehicleActor.goto, enu_m=[0.0, 30.0, 10.0], same_place=True)
+            field.loop.call_later(1.2, field.deliver, field.setpoint_here(actor))
+        outcomes = await fleet.orders.command_all("all", VehicleActor.goto, enu_m=[0.0, 60.0, 10.0], same_place=True)
         assert done(outcomes)
         assert [o.attempts for o in outcomes.values()] == [1, 2]
         await asyncio.sleep(30)
         for actor in fleet.resolve("all"):
-            assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
+            assert actor.vehicle.enu_m() == pytest.approx([0.0, 60.0, 10.0], abs=1.5)
+        outcomes = await fleet.orders.command_all("all", VehicleActor.disarm)
+        assert {o.result for o in outcomes.values()} == {"refused"}, "in the air"
+        assert done(await fleet.orders.command_all("all", VehicleActor.disarm, force=True))
+        assert not any(a.vehicle.armed for a in fleet.resolve("all"))
 
 
 @pytest.mark.deep  # places are held in test_fleet.py
@@ -169,29 +165,6 @@ async def test_arducopter_refuses_at_first_says_why_and_wait_gets_it_armed() -> 
         armed = await actor.arm(wait_s=60)
         assert armed.ok, armed.message
         assert armed.attempts > 1
-
-
-async def test_a_flying_vehicle_is_not_disarmed_unless_forced() -> None:
-    async with Field(px4=1, ardupilot=1) as field:
-        fleet = field.fleet
-        await field.ready()
-        assert done(await fleet.orders.command_all("all", VehicleActor.takeoff, 5.0))
-        await asyncio.sleep(20)
-        outcomes = await fleet.orders.command_all("all", VehicleActor.disarm)
-        assert {o.result for o in outcomes.values()} == {"refused"}
-        assert done(await fleet.orders.command_all("all", VehicleActor.disarm, force=True))
-        assert not any(a.vehicle.armed for a in fleet.resolve("all"))
-
-
-async def test_identity_home_and_rates_are_known_without_being_asked_for_by_a_person() -> None:
-    async with Field(px4=1, ardupilot=1) as field:
-        await asyncio.sleep(60)
-        for actor in field.fleet.resolve("all"):
-            state = actor.state(field.loop.time())
-            assert state["firmware"] is not None
-            assert state["home"] is not None
-            assert state["position"]["enu_m"] is not None
-            assert state["uptime_s"] > 50
 
 
 async def test_a_reboot_is_noticed_and_the_vehicle_usable_again() -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import pytest
-
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import check, encode
 from skygcs.core.vehicle import gate
@@ -16,6 +14,7 @@ from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.outgoing_gate import MAX_REPORTED, OutgoingGate
+from support.table import each
 
 DIALECT = load_dialect("ardupilotmega")
 NOW = 10.0
@@ -51,7 +50,7 @@ class Watched:
         return self.gate.passes(name, fields or {}, clearance, lambda: to)
 
 
-@pytest.mark.parametrize("to", [(), (ARMED,), (DISARMED,), (DISARMED, ARMED)])
+@each("to", [(), (ARMED,), (DISARMED,), (DISARMED, ARMED)])
 def test_without_a_clearance_a_message_passes_as_a_raw_one_on_which_nobody_insists(to: tuple[Vehicle, ...]) -> None:
     watched = Watched()
     models = [model_of(one, NOW) for one in to]

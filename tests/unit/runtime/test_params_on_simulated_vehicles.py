@@ -3,97 +3,48 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from skygcs.config.models import FleetConfig
-from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.ftp_payload import MESSAGE
-from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.compare import plan
 from skygcs.core.params.param_file import of_vehicle, parse, write
-from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.gate import Clearance
-from skygcs.events import Event
-from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.param_cache import ParamCache
-from skygcs.sim.kinematics import LocalFrame
-from skygcs.sim.vehicle_group import SimFleet, make_vehicles
-from support.vehicles import HOME, flight_dialect
+from support.sim_field import SimField
 
 pytestmark = pytest.mark.looptime
 
 
-@contextlib.asynccontextmanager
-async def field(cache: Path) -> AsyncIterator[tuple[Fleet, list[str]]]:
-    """A fleet and a simulated vehicle of each kind, joined by their bytes; and the names of what was sent."""
-    loop, dialect = asyncio.get_running_loop(), flight_dialect()
-    sent: list[str] = []
-    events: list[Event] = []
-    sim = SimFleet(
-        make_vehicles(dialect, px4=1, ardupilot=1, first_sysid=1, home=LocalFrame(*HOME), now=loop.time(), unix_us=1)
-    )
-    up, down = FrameParser(dialect), FrameParser(dialect)
+class Field(SimField):
+    """A simulated vehicle of each kind; ``sent``: the names of what was sent."""
 
-    def send(
-        info: MessageInfo,
-        values: Mapping[str, Any],
-        sysid: int,
-        compid: int,
-        priority: Priority,
-        /,
-        *,
-        everywhere: bool = False,
-        key: object = None,
-        clearance: Clearance | None = None,
-    ) -> bool:
-        sent.append(info.name)
-        for frame in up.feed_datagram(encode(info, values, sysid=255, compid=25, seq=0)):
-            loop.call_later(0.1, lambda f=frame: sim.on_frame(f, loop.time()))
-        return True
+    delay_s = 0.1
+    ready_s = 6.0
 
-    fleet = Fleet(FleetConfig(), dialect, send, loop, events.append, param_cache=ParamCache(cache))
+    def __init__(self, cache: Path) -> None:
+        self.sent: list[str] = []
+        super().__init__(1, 1, {}, param_cache=ParamCache(cache))
 
-    async def run() -> None:
-        while True:
-            for raw in sim.step(loop.time()):
-                for frame in down.feed_datagram(raw):
-                    fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "sim", loop.time())
-            fleet.tick(loop.time())
-            await asyncio.sleep(0.02)
-
-    task = loop.create_task(run())
-    await asyncio.sleep(6)
-    try:
-        yield fleet, sent
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        fleet.close()
-        await asyncio.sleep(0)
+    def on_send(self, message: str, values: Mapping[str, Any]) -> None:
+        self.sent.append(message)
 
 
 @pytest.mark.parametrize(("target", "name", "value"), [("1", "NAV_RCL_ACT", 0), ("2", "SYSID_MYGCS", 254)])
 async def test_a_file_of_a_vehicle_taken_to_it_sets_what_was_changed_in_it(
     target: str, name: str, value: int, tmp_path: Path
 ) -> None:
-    async with field(tmp_path) as (fleet, sent):
+    async with Field(tmp_path) as field:
+        fleet, sent = field.fleet, field.sent
         (actor,) = fleet.resolve(target)
         held = await actor.params.load()
         assert held.ok and {p.name for p in held.params} >= {name}
         kept = of_vehicle(held.params, "plain", sysid=actor.sysid, compid=1, about={})
         text = "\n".join(f"{name},{value}" if line.startswith(name) else line for line in write(kept).splitlines())
         made = plan(
-            parse(text, "x"),
-            {p.name: p for p in held.params},
-            sysid=actor.sysid,
-            compid=1,
-            stack=actor.vehicle.family,
+            parse(text, "x"), {p.name: p for p in held.params}, sysid=actor.sysid, compid=1, stack=actor.vehicle.family
         )
         assert [(c.name, c.value) for c in made.changes] == [(name, value)] and made.warnings == ()
         outcomes = await actor.params.set({c.name: c.value for c in made.changes})
@@ -107,7 +58,8 @@ async def test_a_file_of_a_vehicle_taken_to_it_sets_what_was_changed_in_it(
 
 
 async def test_an_ardupilots_list_comes_as_a_file_with_what_is_set_meanwhile(tmp_path: Path) -> None:
-    async with field(tmp_path) as (fleet, sent):
+    async with Field(tmp_path) as field:
+        fleet, sent = field.fleet, field.sent
         px4, copter = fleet.resolve("1")[0], fleet.resolve("2")[0]
         before = len(sent)
         held = await copter.params.load(refresh=True)
@@ -126,7 +78,8 @@ async def test_an_ardupilots_list_comes_as_a_file_with_what_is_set_meanwhile(tmp
 
 async def test_a_file_that_does_not_come_is_read_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("skygcs.sim.copter_files.PATH", b"@PARAM/else")
-    async with field(tmp_path) as (fleet, sent):
+    async with Field(tmp_path) as field:
+        fleet, sent = field.fleet, field.sent
         (copter,) = fleet.resolve("2")
         held = await copter.params.load(refresh=True)
         assert held.ok and held.count == len(held.params) > 30
@@ -135,10 +88,12 @@ async def test_a_file_that_does_not_come_is_read_one_by_one(tmp_path: Path, monk
 
 
 async def test_a_file_that_is_cancelled_is_not_read_another_way(tmp_path: Path) -> None:
-    async with field(tmp_path) as (fleet, sent):
+    async with Field(tmp_path) as field:
+        fleet, sent = field.fleet, field.sent
         (copter,) = fleet.resolve("2")
+        before = len(sent)
         loading = asyncio.create_task(copter.params.load(refresh=True, bytes_per_s=150.0))
         await asyncio.sleep(2.0)
         assert copter.params.cancel() == 1
-        assert (await loading).result == "cancelled" and "PARAM_REQUEST_READ" not in sent
+        assert (await loading).result == "cancelled" and "PARAM_REQUEST_READ" not in sent[before:]
         assert (await copter.params.load(refresh=True)).ok  # its session was closed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -46,8 +47,9 @@ class Fault:
     how: Callable[[PreflightField], object]
 
 
-def hold(who: str, check: str, says: str, **params: float) -> Fault:
-    return Fault(who, (check,), says, lambda f: f.hold(who, **params))
+def hold(who: str, check: str, says: str, **params: float) -> tuple[Fault, dict[str, float]]:
+    """A fault of parameters, and these."""
+    return Fault(who, (check,), says, lambda f: f.hold(who, **params)), params
 
 
 def vehicle(who: str, found: str, says: str, **faults: Any) -> Fault:
@@ -60,10 +62,6 @@ def vehicle(who: str, found: str, says: str, **faults: Any) -> Fault:
 
 def far_home(f: PreflightField) -> None:
     f.vehicle("echo").set_home(Home(300.0, 0.0, 0.0))
-
-
-def reborn_id(f: PreflightField) -> None:
-    f.hold("papa", MAV_SYS_ID=7)
 
 
 def stop(f: PreflightField) -> None:
@@ -95,7 +93,9 @@ FAULTS = {
     "home elsewhere": Fault("echo", ("home",), "m from where it stands", far_home),
     "silent": Fault("papa", ("link",), "no heartbeat", stop),
     "two of one id": Fault("papa", ("duplicate",), "two vehicles with system id 1", two),
-    "id changed": Fault("papa", ("system id",), "will be 7 after its next start (MAV_SYS_ID)", reborn_id),
+}
+WRONG_PARAMS = {
+    "id changed": hold("papa", "system id", "will be 7 after its next start (MAV_SYS_ID)", MAV_SYS_ID=7),
     "id changed, copter": hold("echo", "system id", "will be 9 after its next start", SYSID_THISMAV=9),
     "other ground station": hold(
         "echo", "gcs id", "SYSID_MYGCS is 252, we are 255", SYSID_MYGCS=252, FS_GCS_ENABLE=1, FS_OPTIONS=0
@@ -115,6 +115,7 @@ FAULTS = {
     "setpoints end too soon": hold("papa", "setpoint timeout", "COM_OF_LOSS_T is 0.3 s", COM_OF_LOSS_T=0.3),
     "leans on": hold("echo", "setpoint timeout", "it keeps its last tilt for that time", GUID_TIMEOUT=3.0),
     "left to nobody": hold("papa", "setpoint loss", "it changes to Position mode", COM_OBL_RC_ACT=0),
+    "left to fall": hold("papa", "setpoint loss", "it stops its motors (Disarm) and falls", COM_OBL_RC_ACT=7),
     "thrust is a climb rate": hold("echo", "thrust", "GUID_OPTIONS is 1", GUID_OPTIONS=1),
     "no multirotor": hold("papa", "thrust", "MAV_TYPE is 1", MAV_TYPE=1),
     "telemetry off": hold("echo", "SERIAL1_PROTOCOL", "SERIAL1_PROTOCOL is 5 (must be 1 or 2)", SERIAL1_PROTOCOL=5),
@@ -137,37 +138,60 @@ async def test_vehicles_as_their_firmware_ships_them_are_ready() -> None:
         assert await field.complaints("echo") == {}
 
 
-async def test_vehicles_as_the_laboratory_wants_them_are_ready() -> None:
-    async with PreflightField(defaults=LAB) as field:
-        right(field)
-        assert await field.complaints("papa") == {}
-        assert await field.complaints("echo") == {}
+async def assert_found(field: PreflightField, fault: Fault, name: str) -> None:
+    """It is found in its vehicle, and nothing else is."""
+    found = await field.complaints(fault.who)
+    assert set(fault.found) <= set(found), (name, found)
+    assert fault.says in found[fault.found[0]], (name, found)
+    follows = FOLLOW_FROM_GPS if "gps fix" in fault.found else set()
+    assert set(found) - set(fault.found) <= follows, (name, found)
 
 
-@pytest.mark.parametrize("name", FAULTS)
-async def test_a_fault_is_found_and_nothing_else(name: str) -> None:
-    fault = FAULTS[name]
+def other(who: str) -> str:
+    return "echo" if who == "papa" else "papa"
+
+
+async def test_wrong_parameters_are_found_and_nothing_else_and_right_ones_make_it_ready() -> None:
+    """One after the other, in vehicles as the laboratory wants them."""
     async with PreflightField(defaults=LAB) as field:
         right(field)
-        fault.how(field)
+        assert await field.complaints("papa") == await field.complaints("echo") == {}
+        for name, (fault, params) in WRONG_PARAMS.items():
+            before = field.held(fault.who, *params)
+            fault.how(field)
+            await assert_found(field, fault, name)
+            assert await field.complaints(other(fault.who)) == {}, name
+            field.hold(fault.who, **before)
+        assert await field.complaints("papa") == await field.complaints("echo") == {}
+
+
+async def test_bad_links_are_found() -> None:
+    async with PreflightField(defaults=LAB) as field:
+        right(field)
+        for name, (how, checks, says) in OF_BOTH.items():
+            how(field)
+            found = await field.complaints("papa")
+            assert tuple(found) == checks and says in found[checks[0]], (name, found)
+
+
+PAIRS = list(
+    itertools.zip_longest(*([name for name, fault in FAULTS.items() if fault.who == who] for who in ("echo", "papa")))
+)
+"""Each fault of one vehicle beside one of the other's, which must not be told of it."""
+
+
+@pytest.mark.parametrize("names", PAIRS)
+async def test_a_fault_is_found_in_its_vehicle_and_nothing_else(names: tuple[str | None, ...]) -> None:
+    faults = {name: FAULTS[name] for name in names if name is not None}
+    async with PreflightField(defaults=LAB) as field:
+        right(field)
+        for fault in faults.values():
+            fault.how(field)
         await asyncio.sleep(SETTLE_S)
-        found = await field.complaints(fault.who)
-        assert set(fault.found) <= set(found), found
-        assert fault.says in found[fault.found[0]], found
-        follows = FOLLOW_FROM_GPS if "gps fix" in fault.found else set()
-        assert set(found) - set(fault.found) <= follows, found
-        other = "echo" if fault.who == "papa" else "papa"
-        assert await field.complaints(other) == {}
-
-
-@pytest.mark.parametrize("name", OF_BOTH)
-async def test_a_bad_link_is_found(name: str) -> None:
-    how, checks, says = OF_BOTH[name]
-    async with PreflightField(defaults=LAB) as field:
-        right(field)
-        how(field)
-        found = await field.complaints("papa")
-        assert tuple(found) == checks and says in found[checks[0]]
+        for name, fault in faults.items():
+            await assert_found(field, fault, name)
+            if len(faults) == 1:
+                assert await field.complaints(other(fault.who)) == {}, name
 
 
 async def test_firmware_and_strangers() -> None:

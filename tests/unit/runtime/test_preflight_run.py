@@ -33,9 +33,9 @@ async def test_only_what_is_needed_is_read() -> None:
         field.asked.clear()
         await field.complaints("papa")
         assert set(field.names_asked()) == {
-            "MAV_SYS_ID", "RTL_RETURN_ALT", "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST",
+            "MAV_SYS_ID", "RTL_RETURN_ALT", "RTL_TYPE", "RTL_LAND_DELAY", "GF_ACTION", "GF_MAX_HOR_DIST",
             "MPC_XY_CRUISE", "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_TILTMAX_AIR",
-            "MPC_LAND_SPEED",
+            "MPC_LAND_SPEED", "GF_MAX_VER_DIST",
         }  # fmt: skip
 
 
@@ -147,13 +147,13 @@ async def test_what_failed_is_the_reason_and_force_insists() -> None:
 
 
 async def test_a_pass_lasts_so_long_and_no_longer() -> None:
-    async with PreflightField(**GATE) as field:
+    async with PreflightField(daemon={"require_preflight": True, "preflight_valid_minutes": 1}) as field:
         actor = field.actor("papa")
         await field.complaints("papa")
-        await asyncio.sleep(9 * 60)
-        assert actor.preflight.refusal() is None and actor.preflight.status()["valid_s"] == pytest.approx(60, abs=2)
-        await asyncio.sleep(2 * 60)
-        assert "passed 11 min ago (valid for 10 min)" in (await actor.arm()).message
+        await asyncio.sleep(40)
+        assert actor.preflight.refusal() is None and actor.preflight.status()["valid_s"] == pytest.approx(20, abs=2)
+        await asyncio.sleep(50)
+        assert "passed 2 min ago (valid for 1 min)" in (await actor.arm()).message
         assert actor.preflight.status()["state"] == "expired"
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import pytest
 
+from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.signing import MAX_TIMESTAMP, TICKS_PER_S
-from skygcs.runtime.signing_keys import AFTER_CRASH_S, SigningStore, default_state_dir
+from skygcs.disk_writer import DiskWriter
+from skygcs.runtime.signing_keys import AFTER_CRASH_S, Signing, SigningStore, default_state_dir
 
 NOW = 37_000_000_000_000
 
@@ -102,3 +107,25 @@ def test_a_file_that_is_no_state_is_told_and_not_believed(tmp_path: Path, text: 
 def test_times_beyond_the_range_are_brought_into_it(tmp_path: Path) -> None:
     (tmp_path / "ab.json").write_text(f'{{"format": 1, "timestamp": {1 << 60}, "exact": true, "wall": {-1 << 60}}}')
     assert SigningStore(tmp_path).load("ab") == (MAX_TIMESTAMP, 0)
+
+
+async def test_at_the_end_every_clock_is_saved_however_often_the_task_is_cancelled(tmp_path: Path) -> None:
+    class Disk:
+        """One that takes a turn of the loop for each job."""
+
+        async def run(self, _what: str, job: Callable[[], None], within_s: float) -> None:
+            await asyncio.sleep(0)
+            job()
+
+    store = SigningStore(tmp_path)
+    signing = Signing(load_dialect("all"), lambda event: None, store, lambda: 1.8e9)
+    signing.disk = cast(DiskWriter, Disk())
+    keys = [signing.key_of(bytes([number]) * 32) for number in range(3)]
+    task = asyncio.create_task(signing.run())
+    await asyncio.sleep(0)
+    while not task.done():
+        task.cancel()
+        await asyncio.sleep(0)
+    assert task.cancelled()
+    assert [store.load(key.id).timestamp for key in keys] == [key.clock.timestamp for key in keys]
+    assert all(key.clock.timestamp for key in keys)

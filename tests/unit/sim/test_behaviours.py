@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-import pytest
-
 from skygcs.sim.behaviours import COPTER, PX4, Fact, Firmware
 from support.behaviour_checks import CHECKS, fly
 from support.behaviour_flights import get_ready
 from support.behaviour_rig import SimRig
 from support.behaviour_table import table
 from support.examples import thinned
+from support.table import each
 
 FLIGHTS = [
     (firmware, name)
@@ -21,7 +20,7 @@ FLIGHTS = [
 ]
 
 
-@pytest.mark.parametrize(("firmware", "name"), thinned(FLIGHTS, len(CHECKS)))
+@each(("firmware", "name"), thinned(FLIGHTS, len(CHECKS)))
 def test_the_simulator_does_what_the_table_says(firmware: str, name: str) -> None:
     rig = SimRig(firmware)
     get_ready(rig, 20.0)
@@ -29,7 +28,7 @@ def test_the_simulator_does_what_the_table_says(firmware: str, name: str) -> Non
     assert not problems, figures
 
 
-@pytest.mark.parametrize("firmware", [PX4, COPTER], ids=["px4", "ardupilot"])
+@each("firmware", [PX4, COPTER], ids=["px4", "ardupilot"])
 def test_every_value_names_its_source(firmware: Firmware) -> None:
     for field in fields(firmware):
         fact = getattr(firmware, field.name)

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from math import hypot
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.vehicle_group import make_vehicles
 from support.sim_pilot import FIELD, Pilot, copter, sim_dialect
+from support.table import each
 
 HEIGHT_M = 20.0
 
@@ -37,7 +37,7 @@ def flown(mode: CopterMode, *, throttle_down: bool, seconds: float) -> tuple[flo
     return began[2] - now[2], hypot(now[0] - began[0], now[1] - began[1])
 
 
-@pytest.mark.parametrize(
+@each(
     ("mode", "throttle_down", "sinks_m", "drifts"),
     [
         (CopterMode.STABILIZE, False, (8.0, HEIGHT_M), False),

@@ -34,8 +34,12 @@ def global_target(
     )
 
 
-def test_its_heartbeats_are_those_of_a_captured_copter() -> None:
-    pilot = Pilot(copter())
+@pytest.fixture
+def pilot() -> Pilot:
+    return Pilot(copter())
+
+
+def test_its_heartbeats_are_those_of_a_captured_copter(pilot: Pilot) -> None:
     pilot.run(2)
     beat = pilot.last("HEARTBEAT")
     assert (beat.base_mode, beat.custom_mode, beat.system_status) == (81, 0, 3)
@@ -49,8 +53,7 @@ def test_its_heartbeats_are_those_of_a_captured_copter() -> None:
     assert (beat.base_mode, beat.custom_mode, beat.system_status) == (217, 4, 4)
 
 
-def test_it_says_its_version_and_frame_at_boot_and_on_request() -> None:
-    pilot = Pilot(copter())
+def test_it_says_its_version_and_frame_at_boot_and_on_request(pilot: Pilot) -> None:
     pilot.run(3)
     assert pilot.texts()[0].startswith("ArduCopter V4.6.3") and "Frame: QUAD/X" in pilot.texts()
     pilot.forget()
@@ -95,8 +98,7 @@ def test_auto_arms_with_the_bit_of_auto_options() -> None:
     assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
 
 
-def test_take_off_is_relative_and_only_armed_in_guided_on_the_ground() -> None:
-    pilot = Pilot(copter())
+def test_take_off_is_relative_and_only_armed_in_guided_on_the_ground(pilot: Pilot) -> None:
     pilot.get_ready()
 
     def take_off(height: float) -> int | None:
@@ -120,8 +122,7 @@ def test_take_off_is_relative_and_only_armed_in_guided_on_the_ground() -> None:
     assert take_off(20) == FAILED, "already flying"
 
 
-def test_guided_flies_to_position_targets_in_each_frame() -> None:
-    pilot = Pilot(copter())
+def test_guided_flies_to_position_targets_in_each_frame(pilot: Pilot) -> None:
     pilot.hovering()
     motion = pilot.vehicles[0].motion
     pilot.send(global_target(pilot, 20, -10, 14.0, frame=mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
@@ -138,8 +139,7 @@ def test_guided_flies_to_position_targets_in_each_frame() -> None:
     assert motion.distance_m(6, 5, 13) < 0.2
 
 
-def test_the_seeds_null_island_mask_flies_to_null_island() -> None:
-    pilot = Pilot(copter())
+def test_the_seeds_null_island_mask_flies_to_null_island(pilot: Pilot) -> None:
     pilot.hovering()
     # a mistake in the UTIAS scripts: velocity mask one bit short, which leaves position 0, 0, 0 active
     pilot.send(mav.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0b010111000000, *[0] * 11))
@@ -148,8 +148,7 @@ def test_the_seeds_null_island_mask_flies_to_null_island() -> None:
     assert motion.north_m < -40, "towards the equator"
 
 
-def test_a_velocity_target_lasts_three_seconds() -> None:
-    pilot = Pilot(copter())
+def test_a_velocity_target_lasts_three_seconds(pilot: Pilot) -> None:
     pilot.hovering()
     pilot.send(global_target(pilot, 0, 0, 0, mask=VELOCITY_ONLY, vx=2.0))
     pilot.run(2.5)
@@ -158,8 +157,7 @@ def test_a_velocity_target_lasts_three_seconds() -> None:
     assert pilot.vehicles[0].motion.groundspeed_mps < 0.1
 
 
-def test_targets_outside_guided_or_on_the_ground_do_nothing() -> None:
-    pilot = Pilot(copter())
+def test_targets_outside_guided_or_on_the_ground_do_nothing(pilot: Pilot) -> None:
     pilot.get_ready()
     set_mode(pilot, COPTER_GUIDED)
     pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)
@@ -174,8 +172,7 @@ def test_targets_outside_guided_or_on_the_ground_do_nothing() -> None:
     assert pilot.vehicles[0].motion.distance_m(0, 0, 10) < 0.3
 
 
-def test_reposition_needs_guided_or_the_flag_and_a_place() -> None:
-    pilot = Pilot(copter())
+def test_reposition_needs_guided_or_the_flag_and_a_place(pilot: Pilot) -> None:
     pilot.hovering()
     lat, lon = pilot.vehicles[0].where.to_geodetic(15.0, 15.0)
     x, y = round(lat * 1e7), round(lon * 1e7)
@@ -202,8 +199,7 @@ def target_enu_m(pilot: Pilot) -> tuple[float, float, float] | None:
     return round(east_m, 1), round(north_m, 1), round(target.alt - where.alt_amsl_m, 1)
 
 
-def test_a_place_is_reported_until_another_target_or_guided_anew_discards_it() -> None:
-    pilot = Pilot(copter())
+def test_a_place_is_reported_until_another_target_or_guided_anew_discards_it(pilot: Pilot) -> None:
     pilot.hovering()
     lat, lon = pilot.vehicles[0].where.to_geodetic(60.0, 15.0)
     place = {"x": round(lat * 1e7), "y": round(lon * 1e7), "z": 12, "frame": RELATIVE}
@@ -229,8 +225,7 @@ def test_a_place_is_reported_until_another_target_or_guided_anew_discards_it() -
     assert target_enu_m(pilot) is None
 
 
-def test_condition_yaw_turns_it_in_guided() -> None:
-    pilot = Pilot(copter())
+def test_condition_yaw_turns_it_in_guided(pilot: Pilot) -> None:
     pilot.hovering()
     assert pilot.command(mav.MAV_CMD_CONDITION_YAW, 90, 20, 1, 0) == ACCEPTED
     pilot.run(5)
@@ -241,8 +236,7 @@ def test_condition_yaw_turns_it_in_guided() -> None:
     assert pilot.command(mav.MAV_CMD_CONDITION_YAW, 400, 20, 1, 0) == FAILED
 
 
-def test_land_disarms_on_the_ground_and_stays_in_land() -> None:
-    pilot = Pilot(copter())
+def test_land_disarms_on_the_ground_and_stays_in_land(pilot: Pilot) -> None:
     pilot.hovering(5)
     assert pilot.command(mav.MAV_CMD_NAV_LAND) == ACCEPTED
     pilot.run(2)
@@ -253,8 +247,7 @@ def test_land_disarms_on_the_ground_and_stays_in_land() -> None:
     assert (beat.base_mode, beat.custom_mode, beat.system_status) == (89, 9, 3), "as in the capture"
 
 
-def test_return_climbs_to_rtl_alt_waits_over_home_and_lands() -> None:
-    pilot = Pilot(copter())
+def test_return_climbs_to_rtl_alt_waits_over_home_and_lands(pilot: Pilot) -> None:
     pilot.hovering(8)
     pilot.send(global_target(pilot, 60, 0, 8.0))
     pilot.run(20)
@@ -269,8 +262,7 @@ def test_return_climbs_to_rtl_alt_waits_over_home_and_lands() -> None:
     assert pilot.last("HEARTBEAT").custom_mode == CopterMode.RTL
 
 
-def test_mode_changes_in_flight_can_fail_and_say_why() -> None:
-    pilot = Pilot(copter())
+def test_mode_changes_in_flight_can_fail_and_say_why(pilot: Pilot) -> None:
     assert set_mode(pilot, CopterMode.AUTO) == ACCEPTED, "disarmed it takes any mode"
     assert set_mode(pilot, 99) == FAILED
     assert set_mode(pilot, CopterMode.STABILIZE) == ACCEPTED
@@ -284,16 +276,14 @@ def test_mode_changes_in_flight_can_fail_and_say_why() -> None:
     assert pilot.command(mav.MAV_CMD_MISSION_START) == FAILED
 
 
-def test_the_deprecated_set_mode_message_works_and_is_not_acknowledged() -> None:
-    pilot = Pilot(copter())
+def test_the_deprecated_set_mode_message_works_and_is_not_acknowledged(pilot: Pilot) -> None:
     answer = pilot.send(mav.MAVLink_set_mode_message(1, 1, COPTER_GUIDED))
     assert [a.get_type() for a in answer] == ["HEARTBEAT"] and answer[0].custom_mode == COPTER_GUIDED
     pilot.send(mav.MAVLink_set_mode_message(1, 81, 0))
     assert pilot.vehicles[0].mode == CopterMode.STABILIZE
 
 
-def test_data_streams_set_their_group_and_are_gone_after_a_reboot() -> None:
-    pilot = Pilot(copter())
+def test_data_streams_set_their_group_and_are_gone_after_a_reboot(pilot: Pilot) -> None:
     pilot.get_ready()
     before = {name: pilot.rate_hz(name) for name in ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")}
     assert before == pytest.approx({"ATTITUDE": 2, "GLOBAL_POSITION_INT": 2, "VFR_HUD": 1}, abs=0.1)
@@ -309,8 +299,7 @@ def test_data_streams_set_their_group_and_are_gone_after_a_reboot() -> None:
     assert pilot.rate_hz("GLOBAL_POSITION_INT") == pytest.approx(2, abs=0.1)
 
 
-def test_stream_parameters_take_effect_at_once() -> None:
-    pilot = Pilot(copter())
+def test_stream_parameters_take_effect_at_once(pilot: Pilot) -> None:
     pilot.get_ready()
     pilot.send(mav.MAVLink_param_set_message(1, 1, b"SR1_EXTRA1", 5, mav.MAV_PARAM_TYPE_INT16))
     assert pilot.rate_hz("ATTITUDE") == pytest.approx(5, abs=0.1)
@@ -319,7 +308,7 @@ def test_stream_parameters_take_effect_at_once() -> None:
     assert pilot.last("RAW_IMU").zacc == pytest.approx(-1000, abs=5)
 
 
-@pytest.mark.parametrize("at_once", [False, True])
+@each("at_once", [False, True])
 def test_a_new_system_id_holds_from_the_next_start_on_or_at_once(
     monkeypatch: pytest.MonkeyPatch, at_once: bool
 ) -> None:
@@ -337,8 +326,7 @@ def test_a_new_system_id_holds_from_the_next_start_on_or_at_once(
     assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 148, to=12) == ACCEPTED
 
 
-def test_speed_changes_last_until_reset() -> None:
-    pilot = Pilot(copter())
+def test_speed_changes_last_until_reset(pilot: Pilot) -> None:
     pilot.hovering()
     assert pilot.command(mav.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == ACCEPTED
     pilot.send(global_target(pilot, 100, 0, 10.0))

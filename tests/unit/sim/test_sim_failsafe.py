@@ -171,11 +171,7 @@ def test_the_heights_fence_too() -> None:
 
 @each(
     ("action", "critical", "emergency"),
-    [
-        (0, Px4Mode.LOITER, Px4Mode.LOITER),
-        (2, Px4Mode.LAND, Px4Mode.LAND),
-        (3, Px4Mode.RTL, Px4Mode.LAND),
-    ],
+    [(0, Px4Mode.LOITER, Px4Mode.LOITER), (2, Px4Mode.LAND, Px4Mode.LAND), (3, Px4Mode.RTL, Px4Mode.LAND)],
 )
 def test_px4_acts_on_its_battery_in_steps(action: int, critical: Px4Mode, emergency: Px4Mode) -> None:
     pilot = Pilot(px4())

@@ -120,8 +120,8 @@ def test_no_parameter_makes_it_fly_beyond_what_telemetry_can_say(make: type[SimV
     pilot.run(30, step_s=10)
 
 
-@pytest.mark.parametrize("make", [px4, copter])
-@pytest.mark.parametrize("flying", [False, True])
+@each("make", [px4, copter])
+@each("flying", [False, True])
 @given(messages=st.lists(message(), min_size=1, max_size=25))
 @settings(max_examples=examples(25), deadline=None, derandomize=True)
 def test_random_messages_never_raise_and_never_stop_it(

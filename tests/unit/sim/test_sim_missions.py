@@ -79,12 +79,7 @@ class Uploader(Pilot):
         assert self.command(mav.MAV_CMD_MISSION_START) == 0
 
 
-SQUARE = [
-    at(22, 0, 0, 10),
-    at(16, 0, 20, 10),
-    at(16, 20, 20, 12, 2.0),
-    at(21, 20, 0, 0),
-]
+SQUARE = [at(22, 0, 0, 10), at(16, 0, 20, 10), at(16, 20, 20, 12, 2.0), at(21, 20, 0, 0)]
 
 
 @BOTH
@@ -100,8 +95,12 @@ def test_a_list_that_was_taken_is_given_back(make: type[SimVehicle]) -> None:
         assert (item.seq, item.command, item.x, item.y, item.z) == (seq, sent.command, sent.x, sent.y, sent.z)
 
 
-def test_a_px4_answers_only_the_next_item_and_the_last_and_gives_up_after_five_seconds() -> None:
-    pilot = Uploader(px4())
+@pytest.fixture
+def pilot() -> Uploader:
+    return Uploader(px4())
+
+
+def test_a_px4_answers_only_the_next_item_and_the_last_and_gives_up_after_five_seconds(pilot: Uploader) -> None:
     pilot.upload(SQUARE)
     pilot.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
     assert pilot.send(mav.MAVLink_mission_request_int_message(1, 1, 0, 0))[0].seq == 0
@@ -120,15 +119,13 @@ def test_a_px4_answers_only_the_next_item_and_the_last_and_gives_up_after_five_s
     assert len(pilot.vehicles[0].lists.mission) == 4, "it keeps what it had"
 
 
-def test_a_px4_repeats_its_last_word_when_the_last_item_comes_again() -> None:
-    pilot = Uploader(px4())
+def test_a_px4_repeats_its_last_word_when_the_last_item_comes_again(pilot: Uploader) -> None:
     pilot.upload(SQUARE)
     assert pilot.ack_of(message(3, SQUARE[3])) == mav.MAV_MISSION_ACCEPTED
     assert pilot.ack_of(message(1, SQUARE[1])) == mav.MAV_MISSION_ERROR
 
 
-def test_a_px4_tells_a_number_that_changes_with_the_list() -> None:
-    pilot = Uploader(px4())
+def test_a_px4_tells_a_number_that_changes_with_the_list(pilot: Uploader) -> None:
     numbers = set()
     for items in (SQUARE, SQUARE[:3], SQUARE):
         pilot.upload(items)
@@ -396,8 +393,7 @@ def test_clearing_empties_one_list(make: type[SimVehicle]) -> None:
         assert pilot.command(mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_DENIED
 
 
-def test_a_px4s_hash_changes_with_a_parameter_and_back() -> None:
-    pilot = Uploader(px4())
+def test_a_px4s_hash_changes_with_a_parameter_and_back(pilot: Uploader) -> None:
 
     def reported() -> bytes:
         (value,) = pilot.send(mav.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1))
@@ -460,17 +456,15 @@ def test_a_list_of_float_items_is_taken(make: type[SimVehicle]) -> None:
     assert kept[2].position == pytest.approx((lat, lon), abs=1e-5)
 
 
-def test_px4_names_the_frames_of_integer_items_as_such() -> None:
-    pilot = Uploader(px4())
+def test_px4_names_the_frames_of_integer_items_as_such(pilot: Uploader) -> None:
     pilot.upload(SQUARE)
     pilot.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
     (item,) = pilot.send(mav.MAVLink_mission_request_int_message(1, 1, 0, 0))
     assert (item.get_type(), item.frame) == ("MISSION_ITEM_INT", mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 
 
-def test_px4_reports_items_that_do_not_move_it_as_reached() -> None:
+def test_px4_reports_items_that_do_not_move_it_as_reached(pilot: Uploader) -> None:
     """MissionBase::on_active; the last item of a MAVSDK mission is a change of speed."""
-    pilot = Uploader(px4())
     pilot.get_ready()
     pilot.upload([do(178, 1, 4.0), at(22, 0, 0, 10), do(178, 1, 5.0), at(16, 0, 10, 10), do(178, 1, 3.0)])
     pilot.start()
@@ -489,9 +483,8 @@ def test_the_home_of_an_arducopter_without_a_mission_can_be_read() -> None:
     assert pilot.send(mav.MAVLink_mission_request_message(1, 1, 1, 0))[-1].type == mav.MAV_MISSION_ERROR
 
 
-def test_px4_asks_otherwise_if_its_partner_does_not_know_the_request() -> None:
+def test_px4_asks_otherwise_if_its_partner_does_not_know_the_request(pilot: Uploader) -> None:
     """handle_mission_ack: MAVSDK answers the first MISSION_REQUEST with MAV_MISSION_UNSUPPORTED, and again back."""
-    pilot = Uploader(px4())
     assert pilot.send(mav.MAVLink_mission_count_message(1, 1, 1, 0))[-1].get_type() == "MISSION_REQUEST"
     unsupported = mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_UNSUPPORTED, 0)
     assert [a.get_type() for a in pilot.send(unsupported)] == ["MISSION_REQUEST_INT"]
@@ -499,9 +492,8 @@ def test_px4_asks_otherwise_if_its_partner_does_not_know_the_request() -> None:
     assert pilot.send(message(0, SQUARE[0]))[-1].type == mav.MAV_MISSION_ACCEPTED
 
 
-def test_px4_asks_as_its_partner_answers() -> None:
+def test_px4_asks_as_its_partner_answers(pilot: Uploader) -> None:
     """_int_mode is off when it boots, and follows the items that come."""
-    pilot = Uploader(px4())
     answers = pilot.send(mav.MAVLink_mission_count_message(1, 1, 4, 0))
     assert answers[-1].get_type() == "MISSION_REQUEST"
     assert pilot.send(message(0, SQUARE[0]))[-1].get_type() == "MISSION_REQUEST_INT"
@@ -526,7 +518,7 @@ def test_an_arducopter_in_guided_flies_to_an_item_that_is_no_part_of_a_mission(a
 
 
 @BOTH
-@pytest.mark.parametrize("bad", [nan, float("inf"), 1e30])
+@each("bad", [nan, float("inf"), 1e30])
 def test_a_float_item_without_a_place_is_refused_and_harms_nothing(make: type[SimVehicle], bad: float) -> None:
     pilot = Uploader(make())
     pilot.send(mav.MAVLink_mission_count_message(1, 1, 2, 0))

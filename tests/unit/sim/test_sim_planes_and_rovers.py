@@ -56,10 +56,7 @@ class Simulated:
         return result
 
 
-@each(
-    ("modes", "mav_type"),
-    [(PlaneMode, mav.MAV_TYPE_FIXED_WING), (RoverMode, mav.MAV_TYPE_GROUND_ROVER)],
-)
+@each(("modes", "mav_type"), [(PlaneMode, mav.MAV_TYPE_FIXED_WING), (RoverMode, mav.MAV_TYPE_GROUND_ROVER)])
 def test_modes_have_the_numbers_that_pymavlink_knows(modes: type[PlaneMode] | type[RoverMode], mav_type: int) -> None:
     theirs = mavutil.mode_mapping_bynumber(mav_type)
     assert {mode.value: mode.name for mode in modes} == {mode.value: theirs[mode.value] for mode in modes}

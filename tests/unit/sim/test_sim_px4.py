@@ -35,8 +35,12 @@ def stream(pilot: Pilot, seconds: float, message: mav.MAVLink_message, rate_hz: 
         pilot.run(1 / rate_hz)
 
 
-def test_its_heartbeat_is_that_of_a_captured_px4() -> None:
-    pilot = Pilot(px4())
+@pytest.fixture
+def pilot() -> Pilot:
+    return Pilot(px4())
+
+
+def test_its_heartbeat_is_that_of_a_captured_px4(pilot: Pilot) -> None:
     pilot.run(2)
     beat = pilot.last("HEARTBEAT")
     assert (beat.base_mode, beat.custom_mode, beat.system_status) == (29, 50593792, 3)
@@ -47,8 +51,7 @@ def test_its_heartbeat_is_that_of_a_captured_px4() -> None:
     assert (beat.base_mode, beat.custom_mode, beat.system_status) == (157, 50593792, 4)
 
 
-def test_take_off_is_to_an_amsl_altitude_and_ends_in_loiter() -> None:
-    pilot = Pilot(px4())
+def test_take_off_is_to_an_amsl_altitude_and_ends_in_loiter(pilot: Pilot) -> None:
     pilot.get_ready()
     assert pilot.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, 195.0) == ACCEPTED
     assert px4_mode(pilot) == Px4Mode.TAKEOFF
@@ -61,8 +64,7 @@ def test_take_off_is_to_an_amsl_altitude_and_ends_in_loiter() -> None:
     assert pilot.texts()[-2:] == ["Armed by external command", "Takeoff detected"]
 
 
-def test_a_relative_take_off_height_is_below_the_field_and_does_not_lift_it() -> None:
-    pilot = Pilot(px4())
+def test_a_relative_take_off_height_is_below_the_field_and_does_not_lift_it(pilot: Pilot) -> None:
     pilot.get_ready()
     assert pilot.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, 10.0) == ACCEPTED
     pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)
@@ -85,8 +87,7 @@ def test_take_off_without_an_altitude_and_by_mode_use_the_parameter() -> None:
         assert pilot.last("GLOBAL_POSITION_INT").relative_alt == pytest.approx(2500, abs=300)
 
 
-def test_a_take_off_with_zero_coordinates_flies_towards_zero_zero() -> None:
-    pilot = Pilot(px4())
+def test_a_take_off_with_zero_coordinates_flies_towards_zero_zero(pilot: Pilot) -> None:
     pilot.get_ready()
     pilot.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 190.0)
     pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)
@@ -95,8 +96,7 @@ def test_a_take_off_with_zero_coordinates_flies_towards_zero_zero() -> None:
     assert motion.north_m < -50 and motion.east_m > 50
 
 
-def test_reposition_flies_there_in_loiter_and_nan_keeps_what_it_has() -> None:
-    pilot = Pilot(px4())
+def test_reposition_flies_there_in_loiter_and_nan_keeps_what_it_has(pilot: Pilot) -> None:
     pilot.hovering()
     lat, lon = pilot.vehicles[0].where.to_geodetic(20.0, 30.0)
     assert (
@@ -114,8 +114,7 @@ def test_reposition_flies_there_in_loiter_and_nan_keeps_what_it_has() -> None:
     assert pilot.last("VFR_HUD").groundspeed == pytest.approx(2.0, abs=0.1), "at the speed asked for"
 
 
-def test_reposition_changes_the_mode_only_with_the_flag() -> None:
-    pilot = Pilot(px4())
+def test_reposition_changes_the_mode_only_with_the_flag(pilot: Pilot) -> None:
     pilot.hovering()
     set_mode(pilot, Px4Mode.LAND)
     answer = pilot.command(mav.MAV_CMD_DO_REPOSITION, -1, 0, 0, nan, nan, nan, 200.0)
@@ -127,8 +126,7 @@ def test_reposition_changes_the_mode_only_with_the_flag() -> None:
     assert pilot.vehicles[0].motion.up_m == pytest.approx(20, abs=0.3)
 
 
-def test_landing_disarms_two_seconds_after_the_landing_is_detected() -> None:
-    pilot = Pilot(px4())
+def test_landing_disarms_two_seconds_after_the_landing_is_detected(pilot: Pilot) -> None:
     pilot.hovering(5)
     assert pilot.command(mav.MAV_CMD_NAV_LAND) == ACCEPTED
     pilot.run(3)
@@ -144,8 +142,7 @@ def test_landing_disarms_two_seconds_after_the_landing_is_detected() -> None:
     assert pilot.texts()[:1] == ["Landing at current position"]
 
 
-def test_return_climbs_flies_home_and_lands_there() -> None:
-    pilot = Pilot(px4())
+def test_return_climbs_flies_home_and_lands_there(pilot: Pilot) -> None:
     pilot.hovering(8)
     lat, lon = pilot.vehicles[0].where.to_geodetic(40.0, 0.0)
     pilot.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, lat, lon, nan)
@@ -161,9 +158,8 @@ def test_return_climbs_flies_home_and_lands_there() -> None:
     assert not pilot.vehicles[0].armed
 
 
-def test_offboard_needs_a_fresh_setpoint_and_falls_back_when_they_end() -> None:
+def test_offboard_needs_a_fresh_setpoint_and_falls_back_when_they_end(pilot: Pilot) -> None:
     """offboardCheck.cpp: the newest setpoint is younger than COM_OF_LOSS_T, and no more."""
-    pilot = Pilot(px4())
     pilot.hovering()
     pilot.vehicles[0].params.set("COM_OBL_RC_ACT", int_param(5))
     assert set_mode(pilot, Px4Mode.OFFBOARD) == REJECTED, "no setpoints"
@@ -186,7 +182,7 @@ def test_offboard_needs_a_fresh_setpoint_and_falls_back_when_they_end() -> None:
     assert any("offboard" in text for text in pilot.texts())
 
 
-@pytest.mark.parametrize("act", [0, 1, 2])
+@each("act", [0, 1, 2])
 def test_without_sticks_a_lost_stream_ends_in_a_descent_unless_another_action_is_set(act: int) -> None:
     """Seen on 1.16.1: killed in a circle it went from 12.4 to 4.5 m in POSCTL, with a failsafe."""
     pilot = Pilot(px4())
@@ -201,8 +197,7 @@ def test_without_sticks_a_lost_stream_ends_in_a_descent_unless_another_action_is
     assert pilot.last("HEARTBEAT").system_status == mav.MAV_STATE_CRITICAL
 
 
-def test_offboard_follows_velocity_yaw_and_global_setpoints() -> None:
-    pilot = Pilot(px4())
+def test_offboard_follows_velocity_yaw_and_global_setpoints(pilot: Pilot) -> None:
     pilot.hovering()
     stream(pilot, 1.5, setpoint(VELOCITY_ONLY, vx=1.0))
     set_mode(pilot, Px4Mode.OFFBOARD)
@@ -226,8 +221,7 @@ def test_offboard_follows_velocity_yaw_and_global_setpoints() -> None:
     assert motion.distance_m(3, 4, 14) < 0.2
 
 
-def test_offboard_takes_off_from_the_ground() -> None:
-    pilot = Pilot(px4())
+def test_offboard_takes_off_from_the_ground(pilot: Pilot) -> None:
     pilot.get_ready()
     stream(pilot, 1.5, setpoint(z=-3))
     assert set_mode(pilot, Px4Mode.OFFBOARD) == ACCEPTED
@@ -236,8 +230,7 @@ def test_offboard_takes_off_from_the_ground() -> None:
     assert pilot.vehicles[0].motion.up_m == pytest.approx(3, abs=0.2)
 
 
-def test_a_mode_change_is_acknowledged_twice_as_px4_does() -> None:
-    pilot = Pilot(px4())
+def test_a_mode_change_is_acknowledged_twice_as_px4_does(pilot: Pilot) -> None:
     set_mode(pilot, Px4Mode.POSCTL)
     assert [a.result for a in pilot.all("COMMAND_ACK")] == [ACCEPTED, ACCEPTED]
 
@@ -256,8 +249,7 @@ def test_without_a_transmitter_manual_modes_are_for_the_disarmed(mode: Px4Mode) 
     assert set_mode(pilot, mode) == REJECTED
 
 
-def test_modes_it_cannot_fly_are_rejected_with_a_text() -> None:
-    pilot = Pilot(px4())
+def test_modes_it_cannot_fly_are_rejected_with_a_text(pilot: Pilot) -> None:
     pilot.get_ready()
     pilot.take_off()
     assert set_mode(pilot, Px4Mode.MISSION) == REJECTED
@@ -288,23 +280,20 @@ def test_auto_without_a_sub_mode_is_a_mission() -> None:
     assert wanted_mode(1, 6, 9) == Px4Mode.OFFBOARD, "which has no sub modes"
 
 
-def test_the_deprecated_set_mode_message_works() -> None:
-    pilot = Pilot(px4())
+def test_the_deprecated_set_mode_message_works(pilot: Pilot) -> None:
     answer = pilot.send(mav.MAVLink_set_mode_message(1, 1, int(Px4Mode.POSCTL)))
     assert [(a.command, a.result) for a in answer] == [(mav.MAV_CMD_DO_SET_MODE, ACCEPTED)]
     assert px4_mode(pilot) == Px4Mode.POSCTL
 
 
-def test_data_stream_requests_change_nothing() -> None:
-    pilot = Pilot(px4())
+def test_data_stream_requests_change_nothing(pilot: Pilot) -> None:
     pilot.get_ready()
     before = pilot.rate_hz("ATTITUDE")
     pilot.send(mav.MAVLink_request_data_stream_message(1, 1, mav.MAV_DATA_STREAM_ALL, 20, 1))
     assert pilot.rate_hz("ATTITUDE") == pytest.approx(before, abs=0.1)
 
 
-def test_parameters_change_how_it_flies() -> None:
-    pilot = Pilot(px4())
+def test_parameters_change_how_it_flies(pilot: Pilot) -> None:
     pilot.hovering()
     pilot.send(mav.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 2.0, mav.MAV_PARAM_TYPE_REAL32))
     lat, lon = pilot.vehicles[0].where.to_geodetic(60.0, 0.0)
@@ -325,8 +314,7 @@ def test_a_new_system_id_holds_from_the_next_boot() -> None:
     assert {x.get_srcSystem() for x in pilot.heard} == {11}
 
 
-def test_its_default_streams_fit_a_telemetry_port() -> None:
-    pilot = Pilot(px4())
+def test_its_default_streams_fit_a_telemetry_port(pilot: Pilot) -> None:
     pilot.get_ready()
     pilot.raw.clear()
     pilot.run(30)
@@ -334,9 +322,8 @@ def test_its_default_streams_fit_a_telemetry_port() -> None:
     assert not isnan(pilot.last("ALTITUDE").altitude_relative)
 
 
-def test_files_that_are_not_there_are_refused_and_not_met_with_silence() -> None:
+def test_files_that_are_not_there_are_refused_and_not_met_with_silence(pilot: Pilot) -> None:
     """mavlink_ftp.cpp: ENOENT is answered as kErrFileNotFound."""
-    pilot = Pilot(px4())
     path = b"/etc/extras/component_general.json.xz"
     for opcode, answer in ((4, 129), (3, 129), (15, 129), (2, 128), (1, 128), (99, 129)):
         data = bytes([7, 0, 0, opcode, len(path), 0, 0, 0, 0, 0, 0, 0]) + path
@@ -353,8 +340,7 @@ def test_files_that_are_not_there_are_refused_and_not_met_with_silence() -> None
     assert not pilot.send(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, list(nak)))
 
 
-def test_odometry_agrees_with_the_other_messages() -> None:
-    pilot = Pilot(px4())
+def test_odometry_agrees_with_the_other_messages(pilot: Pilot) -> None:
     pilot.hovering()
     stream(pilot, 0.2, setpoint(VELOCITY_ONLY & ~0x400, vx=2.0, vy=1.0, yaw=1.0))
     set_mode(pilot, Px4Mode.OFFBOARD)

@@ -27,10 +27,7 @@ def run(quad: Quad, seconds: float, setpoint: Setpoint | AttitudeSetpoint | None
     return track
 
 
-@each(
-    ("wind", "off_m"),
-    [(Wind(), 0.01), (Wind((5.0, 0.0, 0.0)), 0.01), (Wind((-6.0, 8.0, 0.0), gust_mps=1.0), 0.5)],
-)
+@each(("wind", "off_m"), [(Wind(), 0.01), (Wind((5.0, 0.0, 0.0)), 0.01), (Wind((-6.0, 8.0, 0.0), gust_mps=1.0), 0.5)])
 def test_it_takes_off_arrives_and_lands(wind: Wind, off_m: float) -> None:
     quad = Quad(wind=wind)
     quad.supply_v = 16.5

@@ -130,7 +130,7 @@ def test_an_acceleration_alone_is_flown_without_feedback(firmware: str) -> None:
     f.stream(2.0, ACCELERATION, afx=1.0)
     assert 1.2 < f.body.vel_n_mps < 2.2
     f.stream(1.0, ACCELERATION)
-    assert f.body.vel_n_mps > 0.8, "no acceleration is no order to stop"
+    assert f.body.vel_n_mps > 0.8, "no acceleration is not an order to stop"
 
 
 def test_a_px4_takes_position_and_acceleration_without_velocity_and_an_arducopter_stops() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from support.examples import CASES, VARIABLE, examples, flown_cases, seeds, thinned
+from support.examples import CASES, VARIABLE, each_value, examples, flown_cases, seeds, thinned
 
 
 def test_shares(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,3 +32,12 @@ def test_each_flight_has_cases_of_its_own_turn() -> None:
     assert {case for turn in range(8) for case in flown_cases(cases, turn)} == set(cases)
     assert all(len(flown_cases(cases, turn)) == CASES for turn in range(8))
     assert flown_cases(["alone"], 12345) == ["alone"] and flown_cases([], 1) == []
+
+
+def test_the_deep_run_flies_every_value_of_every_parameter_and_no_product_of_them() -> None:
+    cases = [(mode, kind, wind) for mode in "abc" for kind in ("px4", "copter") for wind in ("calm", "gusts")]
+    chosen = [cases[number] for number in each_value(cases)]
+    assert [{case[n] for case in chosen} for n in range(3)] == [{case[n] for case in cases} for n in range(3)]
+    assert len(chosen) == 3
+    rows = [("a",), ("b",), ("c",)]
+    assert each_value(rows) == [0, 1, 2] and each_value([()]) == []

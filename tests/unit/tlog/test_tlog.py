@@ -17,6 +17,7 @@ from skygcs.tlog.timeline import CLOCK_STEP_US
 from support.examples import examples, thinned
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, public_file
+from support.table import each
 
 T0 = 1_700_000_000_000_000
 """Some time in 2023, in microseconds."""
@@ -35,7 +36,7 @@ def verdicts(records: list[LogEntry]) -> list[str]:
     return [r.verdict for r in records]
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 6, turn=0))
+@each("name", thinned(captures("tlog"), 6, turn=0))
 def test_counts_of_a_tlog_are_exact(name: str) -> None:
     data, expected = capture(name)
     status = expected["status"]
@@ -224,13 +225,13 @@ def test_a_file_need_not_be_in_memory() -> None:
 # -- what kind of file
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 6, turn=1))
+@each("name", thinned(captures("tlog") + captures("raw"), 6, turn=1))
 def test_captures_are_told_apart_without_their_names(name: str) -> None:
     data, expected = capture(name)
     assert sniff(data, offline()) == expected["kind"]
 
 
-@pytest.mark.parametrize("lead", [b"", noise(30, 1), noise(200_000, 2)])
+@each("lead", [b"", noise(30, 1), noise(200_000, 2)])
 def test_few_records_and_frames_behind_garbage_are_told_apart(lead: bytes) -> None:
     rng = random.Random(1)
     frames = [heartbeat(rng.randint(1, 9), seq=n) for n in range(300)]

@@ -12,7 +12,7 @@ from typing import Any, cast
 import pytest
 
 from skygcs.web import browser_connections
-from skygcs.web.browser_connections import UNKNOWN_S, BrowserConnections
+from skygcs.web.browser_connections import MAX_CONNECTIONS, MAX_EACH, MAX_VIEW, UNKNOWN_S, BrowserConnections
 
 
 class Handler(asyncio.Protocol):
@@ -64,8 +64,8 @@ class Serving:
         self.peers.append(peer)
         assert await asyncio.to_thread(peer.recv, 1) == b""
 
-    def know(self, handler: Handler) -> None:
-        self.connections.know(cast(Any, handler))
+    def know(self, handler: Handler, browser: str = "one", *, may_order: bool = True) -> None:
+        self.connections.know(cast(Any, handler), browser, may_order=may_order)
 
 
 @pytest.fixture
@@ -90,6 +90,56 @@ async def test_one_without_a_cookie_gives_way_the_oldest_first_and_a_known_one_n
     serving.know(newer)
     await serving.connect_in_vain()
     assert (known.closed, newer.closed, serving.connections.refused) == (False, False, 2)
+
+
+async def test_a_browser_that_opens_more_than_its_share_loses_its_own_oldest(serving: Serving) -> None:
+    serving.connections = BrowserConnections(cast(Any, serving.new_handler), limit=MAX_EACH + 2)
+    other, *own = [Handler() for _ in range(MAX_EACH + 2)]
+    for handler in (other, *own):
+        assert serving.connections.admit(cast(Any, handler), 0.0) is not None
+    serving.know(other, "other")
+    for handler in own:
+        serving.know(handler, "greedy")
+        serving.know(handler, "greedy")  # each request shows the cookie
+    assert [handler.closed for handler in own] == [True] + [False] * MAX_EACH
+    assert not other.closed and serving.connections.refused == 1
+
+
+@pytest.mark.parametrize("may_order", [True, False])
+async def test_a_websocket_stays_while_requests_of_the_same_side_can_give_way(
+    serving: Serving, may_order: bool
+) -> None:
+    """It is the oldest connection of its page, and carries its STOP."""
+    most = MAX_EACH if may_order else MAX_VIEW
+    connections = serving.connections = BrowserConnections(cast(Any, serving.new_handler))
+    websocket, *requests = [Handler() for _ in range(most + 3)]
+    for number, handler in enumerate((websocket, *requests)):
+        connections.admit(cast(Any, handler), 0.0)
+        serving.know(handler, "one" if may_order else f"browser {number // 2}", may_order=may_order)
+        if handler is websocket:
+            connections.hold_websocket(cast(Any, handler))
+    assert not websocket.closed
+    assert [handler.closed for handler in requests] == [True] * 3 + [False] * (most - 1)
+
+
+async def test_of_websockets_alone_the_oldest_gives_way(serving: Serving) -> None:
+    connections = serving.connections = BrowserConnections(cast(Any, serving.new_handler), limit=MAX_EACH + 2)
+    handlers = [Handler() for _ in range(MAX_EACH + 1)]
+    for handler in handlers:
+        connections.admit(cast(Any, handler), 0.0)
+        connections.hold_websocket(cast(Any, handler))
+        serving.know(handler)
+    assert [handler.closed for handler in handlers] == [True] + [False] * MAX_EACH
+
+
+async def test_onlookers_leave_room_for_those_who_may_order(serving: Serving) -> None:
+    connections = serving.connections = BrowserConnections(cast(Any, serving.new_handler))
+    onlookers = [Handler() for _ in range(MAX_CONNECTIONS)]
+    for number, handler in enumerate(onlookers):
+        connections.admit(cast(Any, handler), 0.0)
+        serving.know(handler, f"browser {number // 2}", may_order=False)
+    assert sum(not handler.closed for handler in onlookers) == MAX_VIEW
+    assert connections.admit(cast(Any, Handler()), 0.0) is not None
 
 
 async def test_one_that_has_ended_leaves_its_place(serving: Serving) -> None:

@@ -13,6 +13,7 @@ import pytest
 from skygcs.errors import RefusedError, SkygcsError
 from skygcs.web import check_process
 from skygcs.web.check_process import NICE, CheckRunner
+from support.table import each
 
 
 async def test_onlookers_leave_a_place_to_those_who_may_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,7 +37,7 @@ async def test_onlookers_leave_a_place_to_those_who_may_order(monkeypatch: pytes
     assert [await first, await second, await checks.run("e", {}, "view")] == ["a", "c", "e"]
 
 
-@pytest.mark.parametrize("name", ["web.no.such.check", "web.plan.check"])
+@each("name", ["web.no.such.check", "web.plan.check"])
 async def test_a_check_that_fails_is_a_text_for_a_person(name: str) -> None:
     with pytest.raises(SkygcsError) as refused:
         await CheckRunner().run(name, {"files": []}, "command")

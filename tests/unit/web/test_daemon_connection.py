@@ -18,6 +18,8 @@ from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.web import daemon_connection
 from skygcs.web.daemon_connection import DaemonConnection
 from skygcs.web.state_batches import LatestStates
+from support.hosts import until
+from support.table import each
 
 
 class Pages:
@@ -111,14 +113,6 @@ async def connecting(path: Path, states: LatestStates | None = None) -> AsyncIte
         await asyncio.gather(task, return_exceptions=True)
 
 
-async def until(condition: Any) -> None:
-    for _ in range(6000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("it never happened")
-
-
 async def test_a_daemon_that_hangs_is_tried_again_until_it_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,7 +182,7 @@ async def test_a_daemon_that_stands_still_for_long_is_connected_to_anew_when_it_
         await until(lambda: connection.connected)
 
 
-@pytest.mark.parametrize("turns", range(5))
+@each("turns", range(5))
 async def test_an_answer_that_comes_with_the_loss_does_not_keep_the_lost_connection(tmp_path: Path, turns: int) -> None:
     """asyncio.wait_for would: it returns the answer, and the cancellation is forgotten."""
     connection = DaemonConnection(str(tmp_path / "gcs.sock"), None, LatestStates())

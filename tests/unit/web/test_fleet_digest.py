@@ -10,15 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.errors import RpcError
-from skygcs.web.fleet_digest import (
-    MAX_NAMES,
-    VEHICLE_SILENT_S,
-    Digest,
-    View,
-    count_sites,
-    digest_of,
-    view_of,
-)
+from skygcs.web.fleet_digest import MAX_NAMES, VEHICLE_SILENT_S, Digest, View, count_sites, digest_of, view_of
 from support.table import each
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from skygcs.errors import SkygcsError
 from skygcs.web.map_image import parse_points, read_map
+from support.table import each
 
 POINTS = [[0, 0, 43.78, -79.47], [1000, 500, 43.77, -79.46]]
 
@@ -20,7 +21,7 @@ def test_an_image_and_its_points(tmp_path: Path) -> None:
     assert image.as_dict()["points"][1] == {"x_px": 1000.0, "y_px": 500.0, "lat_deg": 43.77, "lon_deg": -79.46}
 
 
-@pytest.mark.parametrize(
+@each(
     "points",
     [
         [],

@@ -32,6 +32,7 @@ from skygcs.web.tile_set import (
     picture_type,
 )
 from support.map_files import claimed_png, png, write_mbtiles, write_pmtiles
+from support.table import each
 
 RED = png(16, (200, 30, 30))
 BLUE = png(16, (30, 30, 200))
@@ -47,7 +48,7 @@ def picture(kind: str, width: int, height: int, **options: object) -> bytes:
 # -- pictures, against Pillow
 
 
-@pytest.mark.parametrize(
+@each(
     ("kind", "options"),
     [
         ("PNG", {}),
@@ -59,7 +60,7 @@ def picture(kind: str, width: int, height: int, **options: object) -> bytes:
         ("WEBP", {"exif": b"Exif\0\0II*\0\x08\0\0\0\0\0\0\0\0\0"}),
     ],
 )
-@pytest.mark.parametrize(("width", "height"), [(256, 256), (512, 511), (1, 3)])
+@each(("width", "height"), [(256, 256), (512, 511), (1, 3)])
 def test_the_size_of_a_picture_is_that_of_pillow(
     kind: str, options: dict[str, object], width: int, height: int
 ) -> None:
@@ -69,7 +70,7 @@ def test_the_size_of_a_picture_is_that_of_pillow(
         assert (content_type, width_px) == (Image.MIME[str(read.format)], read.width)
 
 
-@pytest.mark.parametrize(
+@each(
     ("body", "why"),
     [
         (b"", "neither PNG, JPEG nor WebP"),
@@ -109,7 +110,7 @@ def test_no_bytes_of_a_picture_raise_anything_else() -> None:
 WRITERS: dict[str, Callable[..., Path]] = {"field.mbtiles": write_mbtiles, "field.pmtiles": write_pmtiles}
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@each("name", WRITERS)
 def test_tiles_are_read_by_zoom_column_and_row_from_the_north(tmp_path: Path, name: str) -> None:
     tiles = open_tiles(WRITERS[name](tmp_path / name, TILES, attribution="&copy; <a href='https://x'>X</a>\n  Y"))
     assert {place: tiles.read(*place) for place in TILES} == TILES
@@ -273,7 +274,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", BAD)
+@each("name", BAD)
 def test_a_bad_file_is_refused_with_its_name_and_the_key(tmp_path: Path, name: str) -> None:
     write, why = BAD[name]
     path = tmp_path / "field.tiles"

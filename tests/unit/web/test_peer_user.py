@@ -11,6 +11,7 @@ import pytest
 
 from skygcs.web import peer_user
 from skygcs.web.peer_user import is_own_user
+from support.table import each
 
 
 class Transport:
@@ -23,7 +24,7 @@ class Transport:
         return self._names[name]
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+@each("host", ["127.0.0.1", "::1"])
 def test_a_program_of_this_user_is_known_and_one_of_another_is_not(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

@@ -19,6 +19,7 @@ from skygcs.web.replay_fleet import ReplayFleet
 from skygcs.web.replay_source import Recording, ReplaySource
 from skygcs.web.state_batches import LatestStates
 from support.public_data import ROOT, public_file
+from support.table import each
 
 FLIGHT = "tlog/devmangrani-v2-radio-loss-f35.tlog"
 """One vehicle, ten minutes, a radio that loses a third."""
@@ -97,7 +98,7 @@ def read_to(recording: Recording, fleet: ReplayFleet, at_s: float, first: int = 
     fleet.tick(at_s)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.37, 0.66, 0.93])
+@each("share", [0.05, 0.37, 0.66, 0.93])
 async def test_a_jump_gives_the_state_of_reading_from_the_beginning(share: float) -> None:
     async with replayed() as bench:
         await bench.until(lambda: bench.source.recording.scanned)
@@ -180,7 +181,7 @@ async def test_what_is_kept_does_not_grow_with_the_length(monkeypatch: pytest.Mo
         assert times[0] == 0.0 and times == sorted(times)
 
 
-@pytest.mark.parametrize("name", ["dronekit-2012-16k-truncated.tlog", "devmangrani-v2-radio-loss-f35.raw"])
+@each("name", ["dronekit-2012-16k-truncated.tlog", "devmangrani-v2-radio-loss-f35.raw"])
 async def test_damaged_logs_and_raw_captures_are_played_too(name: str) -> None:
     async with replayed(public_file(f"tlog/{name}")) as bench:
         await bench.until(lambda: bench.source.recording.scanned)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 
-import pytest
-
 from skygcs.web.sign_in import COOKIE_LIFE_S, MAX_COOKIES, MAX_TOKENS, OPENED_LIFE_S, TOKEN_LIFE_S, SignIn, token_of
+from support.table import each
 
 
 def sign_in() -> SignIn:
@@ -79,15 +78,28 @@ def test_what_is_saved_holds_no_secret_and_is_taken_over() -> None:
     store = sign_in()
     cookie = exchanged(store, store.issue("command", 5.0), 5.0)
     assert cookie is not None
-    saved = json.loads(json.dumps(store.saved()))
+    saved = json.loads(json.dumps(store.saved(8.0)))
     assert cookie not in json.dumps(saved)
     other = sign_in()
-    other.restore(saved | {"short": ["command", 1], "x" * 64: ["admin", 1], "y" * 64: 3, "z" * 64: ["view"]})
-    assert other.role_of(cookie, 6.0) == "command"
-    assert len(other.saved()) == 1
+    wrong = {"short": ["command", 1], "x" * 64: ["admin", 1], "y" * 64: 3, "z" * 64: ["view"]}
+    never = {"v" * 64: ["view", float("nan")], "w" * 64: ["view", float("-inf")]}
+    other.restore(saved | wrong | never, 1e6)
+    assert list(other.saved(1e6).values()) == [["command", 3.0]]
+    assert other.role_of(cookie, 1e6 + COOKIE_LIFE_S - 4.0) == "command"
 
 
-@pytest.mark.parametrize(
+@each(("away_s", "role"), [(-1e9, "view"), (0.0, "view"), (60.0, "view"), (COOKIE_LIFE_S, None)])
+def test_the_time_between_two_processes_counts_and_a_clock_that_was_set_back_does_not(
+    away_s: float, role: str | None
+) -> None:
+    store, other = sign_in(), sign_in()
+    cookie = exchanged(store, store.issue("view", 0.0), 0.0)
+    assert cookie is not None
+    other.restore(store.saved(10.0), 1e6, away_s)
+    assert other.role_of(cookie, 1e6) == role
+
+
+@each(
     ("text", "token"),
     [
         ("http://192.168.1.7:8080/?token=abc-_1", "abc-_1"),

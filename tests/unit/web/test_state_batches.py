@@ -5,23 +5,20 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.web.fleet_digest import LARGE_FLEET, MAX_FULL, SMALL_AGAIN, View
-from skygcs.web.state_batches import (
-    BRIEF_EVERY_S,
-    MAX_REMOVED,
-    MAX_ROUND_S,
-    SETTLE_S,
-    Batch,
-    LatestStates,
-    PageStates,
-)
+from skygcs.web.state_batches import BRIEF_EVERY_S, MAX_REMOVED, MAX_ROUND_S, SETTLE_S, Batch, LatestStates, PageStates
 
 
-def test_a_page_begins_with_the_whole_fleet_and_then_gets_what_changed() -> None:
-    states = LatestStates()
+@pytest.fixture
+def states() -> LatestStates:
+    return LatestStates()
+
+
+def test_a_page_begins_with_the_whole_fleet_and_then_gets_what_changed(states: LatestStates) -> None:
     states.put("a", b"a1", 0.0)
     states.put("b", b"b1", 0.0)
     states.end_round()
@@ -43,8 +40,7 @@ def test_a_slow_page_gets_the_newest_state_of_each_once() -> None:
     assert page.batch(1000.0)[:3] == (False, [b"a999", b"b999", b"c999"], [])
 
 
-def test_a_forgotten_vehicle_is_reported_as_gone_and_may_come_back() -> None:
-    states = LatestStates()
+def test_a_forgotten_vehicle_is_reported_as_gone_and_may_come_back(states: LatestStates) -> None:
     page = PageStates(states, 10.0)
     states.put("a", b"a", 0.0)
     page.batch(0.0)
@@ -56,8 +52,7 @@ def test_a_forgotten_vehicle_is_reported_as_gone_and_may_come_back() -> None:
     assert page.batch(0.2)[:3] == (False, [b"a2"], [])
 
 
-def test_what_the_daemon_no_longer_sends_is_forgotten() -> None:
-    states = LatestStates()
+def test_what_the_daemon_no_longer_sends_is_forgotten(states: LatestStates) -> None:
     states.put("old", b"o", 0.0)
     states.put("new", b"n", 5.0)
     states.remove_older(2.0)
@@ -79,8 +74,7 @@ def test_after_a_reset_nothing_is_sent_until_the_fleet_is_known_and_then_all_of_
     assert page.batch(0.0)[:3] == (True, [b"b"], [])
 
 
-def test_a_fleet_without_a_vehicle_is_sent_when_that_is_known() -> None:
-    states = LatestStates()
+def test_a_fleet_without_a_vehicle_is_sent_when_that_is_known(states: LatestStates) -> None:
     page = PageStates(states, 0.2)
     assert page.due_at() is None
     states.settle()
@@ -88,15 +82,13 @@ def test_a_fleet_without_a_vehicle_is_sent_when_that_is_known() -> None:
     assert page.batch(0.0)[:3] == (True, [], [])
 
 
-def test_a_round_that_was_forgotten_completes_nothing() -> None:
-    states = LatestStates()
+def test_a_round_that_was_forgotten_completes_nothing(states: LatestStates) -> None:
     states.put("a", b"a", 1.0)
     states.reset()
     assert states.round_complete_at() is None
 
 
-def test_the_list_of_forgotten_vehicles_is_bounded() -> None:
-    states = LatestStates()
+def test_the_list_of_forgotten_vehicles_is_bounded(states: LatestStates) -> None:
     page = PageStates(states, 1.0)
     page.batch(0.0)
     for n in range(MAX_REMOVED + 1):
@@ -105,8 +97,7 @@ def test_the_list_of_forgotten_vehicles_is_bounded() -> None:
     assert page.batch(1.0)[:3] == (True, [], [])
 
 
-def test_a_page_gets_no_more_batches_than_it_wants() -> None:
-    states = LatestStates()
+def test_a_page_gets_no_more_batches_than_it_wants(states: LatestStates) -> None:
     states.settle()
     page = PageStates(states, 2.0)
     page.batch(0.0)
@@ -114,8 +105,7 @@ def test_a_page_gets_no_more_batches_than_it_wants() -> None:
     assert page.due_at() == 0.25
 
 
-def test_a_round_whose_end_is_marked_is_sent_then_and_not_when_it_is_quiet() -> None:
-    states = LatestStates()
+def test_a_round_whose_end_is_marked_is_sent_then_and_not_when_it_is_quiet(states: LatestStates) -> None:
     states.put("a", b"a", 1.0)
     states.complete_round()
     assert states.round_complete_at() == 1.0
@@ -130,8 +120,7 @@ def test_a_round_whose_end_is_marked_is_sent_then_and_not_when_it_is_quiet() -> 
     assert states.round_complete_at() == 3.0 + SETTLE_S
 
 
-def test_a_round_is_sent_when_it_is_complete_and_no_later_than_its_limit() -> None:
-    states = LatestStates()
+def test_a_round_is_sent_when_it_is_complete_and_no_later_than_its_limit(states: LatestStates) -> None:
     assert states.round_complete_at() is None
     states.put("a", b"a", 1.0)
     assert states.round_complete_at() == 1.0 + SETTLE_S
@@ -246,8 +235,7 @@ def test_more_than_a_page_can_show_is_said_to_be_left_out_and_what_is_selected_i
     assert len(full) == MAX_FULL and "south/v149" in full and batch.left_out == 301 - MAX_FULL
 
 
-def test_a_fleet_that_grows_large_or_small_begins_every_page_anew() -> None:
-    states = LatestStates()
+def test_a_fleet_that_grows_large_or_small_begins_every_page_anew(states: LatestStates) -> None:
     for n in range(LARGE_FLEET):
         states.put(f"v{n}", state(f"v{n}"), 0.0)
     states.end_round()

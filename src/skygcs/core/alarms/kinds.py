@@ -8,6 +8,7 @@
     failsafe      failsafe                                       its failsafe is over                      alarm
     stop          an emergency stop refused or unanswered        another order stops or ends its flight    alarm
     takeoff       a take-off at a wrong height                   it is disarmed                            alarm
+    return        it waited for its return, which was given up   it is ordered to return, land or stop     alarm
     guard         control held by the guard                      control goes on or ends                   alarm
     unattended    it follows setpoints and nobody flies it       at once; it stays until acknowledged      warning
     fence         it is outside its autopilot's fence            it is inside again; a PX4: disarmed       warning
@@ -49,6 +50,9 @@ BEFORE_FLIGHT = re.compile(r"^(PreArm|Arm:|Preflight Fail|Arming denied)", re.IG
 
 STOPS = frozenset({"stop", "hold", "land", "rtl", "disarm"})
 """Orders after which an emergency stop that failed is no concern any more."""
+
+RETURNED = STOPS - {"hold"}
+"""Orders after which nobody waits for a return that was given up."""
 
 CONSEQUENCES: Mapping[str, frozenset[str]] = {
     "lost": frozenset({"separation", "unwatched", "deaf", "battery", "guard", "unattended", "autopilot"}),
@@ -123,7 +127,10 @@ def _failsafe(event: Event, _: VehicleFacts) -> list[Signal]:
 def _command(event: Event, _: VehicleFacts) -> list[Signal]:
     order, ok = event.data.get("order"), event.data.get("ok")
     if ok and order in STOPS:
-        return [Signal("stop", event.vehicle, False)]
+        returned = [Signal("return", event.vehicle, False)] if order in RETURNED else []
+        return [Signal("stop", event.vehicle, False), *returned]
+    if order == "rtl" and ok is None and event.data.get("result") == "failed":
+        return [Signal("return", event.vehicle, True, event.text)]
     if order != "stop" or ok is not False or event.data.get("result") == "cancelled":
         return []
     return [Signal("stop", event.vehicle, True, f"did not stop: {event.data.get('message') or event.text}")]
@@ -134,7 +141,7 @@ def _takeoff(event: Event, _: VehicleFacts) -> list[Signal]:
 
 
 def _disarmed(event: Event, _: VehicleFacts) -> list[Signal]:
-    return [Signal(kind, event.vehicle, False) for kind in ("takeoff", "stop", "guard", "unwatched")]
+    return [Signal(kind, event.vehicle, False) for kind in ("takeoff", "stop", "return", "guard", "unwatched")]
 
 
 def _control(event: Event, _: VehicleFacts) -> list[Signal]:

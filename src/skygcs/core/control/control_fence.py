@@ -114,7 +114,7 @@ class Fence:
         less the margin; the floor is the vehicle's own, the margin below.
         """
         if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_amsl_m)):
-            return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is no place on earth"
+            return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is not a place on earth"
         here = self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m)
         inset = self.margin_m if margin else 0.0
         spans = (

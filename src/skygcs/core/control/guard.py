@@ -314,6 +314,7 @@ class Guard:
 def all_well(config: GuardConfig, facts: GuardFacts, wanted: ControlMode) -> bool:
     """True if no rule rejects the wanted mode or its fallbacks: `_not_ours`, `_unsafe` and `_unfit` in one expression,
     for the many ticks without a reason."""
+    # any mode
     age_s, estimate, delay_s = facts.state_age_s, facts.estimate, facts.delay_p95_s
     if (
         not facts.connected
@@ -332,6 +333,7 @@ def all_well(config: GuardConfig, facts: GuardFacts, wanted: ControlMode) -> boo
         or not estimate.usable
     ):
         return False
+    # battery, then by mode: the more it needs the later
     floor, battery = config.battery_min_percent, facts.battery_percent
     if floor is not None and battery is not None and not battery >= floor:
         return False

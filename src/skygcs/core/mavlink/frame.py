@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from fastcrc.crc16 import mcrf4xx
-
 from skygcs.core.mavlink.dialect import MAX_PAYLOAD_BYTES, MessageInfo
 from skygcs.core.mavlink.header import (
     CRC_BYTES,
@@ -19,6 +17,7 @@ from skygcs.core.mavlink.header import (
     crc_offset,
     decode_header,
     encode_header,
+    mcrf4xx,
     payload_of,
 )
 

@@ -154,7 +154,7 @@ def value_text(value: Value) -> str:
 def to_bits(value: Value, type_: ParamType, encoding: Encoding) -> int:
     """The four bytes to send. Raises ValueError, for a person, if the type or the encoding cannot carry the value."""
     if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{value} is no value for a parameter")
+        raise ValueError(f"{value} is not a value for a parameter")
     if type_ in (ParamType.UINT64, ParamType.INT64, ParamType.REAL64):
         raise ValueError(f"{type_.name} does not fit into the protocol's four bytes")
     if not type_.integer:
@@ -168,7 +168,7 @@ def to_bits(value: Value, type_: ParamType, encoding: Encoding) -> int:
     if encoding is Encoding.BYTEWISE:
         return int.from_bytes(struct.pack(_STRUCT[type_], whole).ljust(4, b"\0"), "little")
     if float32(whole) != whole:
-        raise ValueError(f"{whole} would arrive as {int(float32(whole))}: this autopilot is sent 32-bit floats")
+        raise ValueError(f"{whole} would arrive as {int(float32(whole))}: this autopilot gets 32-bit floats")
     return _float_bits(whole)
 
 

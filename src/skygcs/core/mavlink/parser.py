@@ -17,8 +17,6 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
-from fastcrc.crc16 import mcrf4xx
-
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.header import (
@@ -31,6 +29,7 @@ from skygcs.core.mavlink.header import (
     crc_offset,
     decode_header,
     frame_size,
+    mcrf4xx,
 )
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")

@@ -24,8 +24,8 @@ Abilities of the classes (`abilities_of`): the one declaration from which orders
     circles     no       always         on its wing         no            no      no      no        taken to
     setpoints   yes      no             no                  no            no      no      no        no
     return      lands    circles, or    circles, or on      stands (PX4   -       stands  -         taken to
-    ends                 by its         its rotors (PX4     disarms)                                land
-                         mission        lands)
+    ends        (PX4 or  by its         its rotors (PX4     disarms)                                land
+                holds)   mission        lands)
 
 What cannot stop holds by a circle: `hold_radius` names the parameter with its radius and the firmware's default. The
 modes and commands of each order are fields too; `autopilot` makes plans of them and says why.
@@ -196,9 +196,10 @@ class ReturnEnd(StrEnum):
     LANDS = "it lands and disarms"
     LANDS_ON_ROTORS = "it flies home as a plane, and lands there on its rotors"
     BY_MISSION = "it lands by the landing of its mission"
+    HOLDS = "it holds above its home"
     CIRCLES = "it circles above its home"
     LANDS_AS_PLANE = "it circles above its home, and comes down there as a plane"
-    NOT_KNOWN = "it circles above its home, or lands: that is not known"
+    NOT_KNOWN = "it stays above its home, or lands: that is not known"
     STANDS = "it stops and stays armed"
     STANDS_DISARMED = "it stops at its home and disarms"
     """A PX4 that drives counts as landed there (RoverLandDetector::_get_landed_state), and Commander disarms it after
@@ -210,7 +211,7 @@ HeightParam = tuple[tuple[str, float], ...]
 
 Q_RTL_MODE, RTL_AUTOLAND, Q_OPTIONS = "Q_RTL_MODE", "RTL_AUTOLAND", "Q_OPTIONS"
 RTL_TYPE, RTL_LAND_DELAY = "RTL_TYPE", "RTL_LAND_DELAY"
-"""PX4. Of planes by default 1 and -1 (init.d/rc.fw_defaults)."""
+"""PX4. By default 0 and 0 (rtl_params.c), of planes 1 and -1 (init.d/rc.fw_defaults)."""
 
 
 MISSION_LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
@@ -267,11 +268,16 @@ def plane_return(rotors: int, autoland: int) -> ReturnRule:
     return ReturnRule(end, frozenset({mav_cmd.DO_LAND_START}) if autoland == 1 else frozenset())
 
 
-def px4_plane_return(rtl_type: int, land_delay_s: float) -> ReturnRule:
-    """Rule of a PX4 fixed wing by RTL_TYPE and RTL_LAND_DELAY (s; below 0: it waits without end). navigator/rtl.cpp:
-    findRtlDestination, init_rtl_mission_type; rtl_direct.cpp: LOITER_HOLD. Rally points are not looked at."""
-    at_home = ReturnEnd.CIRCLES if land_delay_s < 0.0 else ReturnEnd.LANDS_AS_PLANE
-    match rtl_type:
+def px4_return(rtl_type: float | None, land_delay_s: float | None, *, circles: bool) -> ReturnRule:
+    """Rule of a PX4 fixed wing (``circles``) or copter by RTL_TYPE and RTL_LAND_DELAY (s; below 0: it waits without
+    end); None: by default. navigator/rtl.cpp: findRtlDestination, init_rtl_mission_type; rtl_direct.cpp: LOITER_HOLD.
+    Rally points are not looked at."""
+    if circles:
+        delay_s = -1.0 if land_delay_s is None else land_delay_s
+        at_home = ReturnEnd.CIRCLES if delay_s < 0.0 else ReturnEnd.LANDS_AS_PLANE
+    else:
+        at_home = ReturnEnd.HOLDS if (land_delay_s or 0.0) < 0.0 else ReturnEnd.LANDS
+    match int(circles) if rtl_type is None else int(rtl_type):
         case 0:
             return ReturnRule(at_home)
         case 1:
@@ -376,8 +382,7 @@ class Abilities:
             return ReturnRule(self.return_end)
         values = {name: param(name) for name in self.return_params}
         if RTL_TYPE in values:
-            rtl_type, delay_s = values[RTL_TYPE], values[RTL_LAND_DELAY]
-            rule = px4_plane_return(1 if rtl_type is None else int(rtl_type), -1.0 if delay_s is None else delay_s)
+            rule = px4_return(values[RTL_TYPE], values[RTL_LAND_DELAY], circles=self.circles)
         else:
             rule = plane_return(int(values.get(Q_RTL_MODE) or 0), int(values[RTL_AUTOLAND] or 0))
         return replace(rule, known=None not in values.values())
@@ -410,7 +415,14 @@ _PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE, return_heights=_
 _PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS_DISARMED, return_heights=())
 
 TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
-    ("px4", _C.COPTER): replace(_PX4, hovers=True, setpoints=True, takeoff=TakeOff.CLIMB, brake_mps2=2.0),
+    ("px4", _C.COPTER): replace(
+        _PX4,
+        hovers=True,
+        setpoints=True,
+        takeoff=TakeOff.CLIMB,
+        brake_mps2=2.0,
+        return_params=(RTL_TYPE, RTL_LAND_DELAY),
+    ),
     ("px4", _C.PLANE): replace(
         _PX4,
         circles=True,

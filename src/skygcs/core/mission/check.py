@@ -6,7 +6,7 @@ Findings that depend on the autopilot are for the given one, or name the autopil
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from skygcs.core.geo import distance_m
@@ -181,7 +181,7 @@ def _mission(
             yield Finding(True, MissionType.MISSION, number, text)
 
 
-def _firmware(item: MissionItem, family: Family, commands: dict[int, str]) -> Iterator[tuple[bool, str]]:
+def _firmware(item: MissionItem, family: Family, commands: Mapping[int, str]) -> Iterator[tuple[bool, str]]:
     """The firmware's refusals of an item after its conversion."""
     converted, _ = convert(item, family, commands)
     if converted is not None:
@@ -209,7 +209,7 @@ def _flies_to(item: MissionItem) -> bool:
     return item.command in FLOWN_PLACE
 
 
-def _command(item: MissionItem, commands: dict[int, str], dialect: str) -> Iterator[tuple[bool, str]]:
+def _command(item: MissionItem, commands: Mapping[int, str], dialect: str) -> Iterator[tuple[bool, str]]:
     if item.command in FENCE_COMMANDS or item.command == mav_cmd.NAV_RALLY_POINT:
         name = commands.get(item.command, str(item.command))
         where = "rally" if item.command == mav_cmd.NAV_RALLY_POINT else "fence"

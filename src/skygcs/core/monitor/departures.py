@@ -9,7 +9,9 @@ have changed places would descend through each other, whatever their heights.
     wait
     clear of those under way, and not of some that wait            leaves later: those in its way climb where they
                                                                    stand, above its whole way, one group at a time
-    not clear of one that is under way, or that stays              waits until that one is out of its way
+    not clear of one that is under way, or that is there           waits until that one is out of its way
+    not clear of one that stays: it holds at the end of its        climbs where it stands, if its way is clear above
+    return                                                         that one; else it is stuck
 
 It is asked again some times a second with the vehicles where they are then, so one leaves as soon as the part of
 another's way that is still to come is clear of its own.
@@ -18,7 +20,7 @@ another's way that is still to come is clear of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -67,6 +69,10 @@ class Returning:
     height: ReturnHeight = UNKNOWN
     age_s: float = 0.0
     """Age of its position."""
+    goal_m: float | None = None
+    """The height to which it climbs where it stands."""
+    lands: bool = False
+    """It comes down where it is, not at its home."""
 
     @property
     def highest_m(self) -> float:
@@ -79,15 +85,19 @@ class Returning:
         return self.footprint.ball_m(self.age_s) + speed_mps * speed_mps / (2.0 * BRAKES_MPS2)
 
     def place(self) -> Way:
-        """Its space while it waits."""
-        return Way(self.key, self.name, self.footprint, standing(self.here), self.ball_m, "waits")
+        """Its space while it waits, or climbs where it stands."""
+        climbs = self.goal_m is not None and self.goal_m > self.here[2]
+        legs = (column(self.here, self.goal_m),) if climbs and self.goal_m is not None else standing(self.here)
+        return Way(self.key, self.name, self.footprint, legs, self.ball_m, "waits")
 
     def way(self, *, under_way: bool = False) -> Way:
-        """Its space from here to the ground at its home."""
+        """Its space from here to the ground at its home, or where it lands."""
         home_xy, here_xy = self.home[:2], self.here[:2]
         at_home = math.dist(home_xy, here_xy) <= AT_HOME_M
-        if under_way and at_home and self.velocity_mps[2] < -SINKS_MPS:
-            legs: tuple[Leg, ...] = (column((*home_xy, self.here[2]), self.home[2]),)
+        if under_way and self.lands:
+            legs: tuple[Leg, ...] = (column(self.here, self.home[2]),)
+        elif under_way and at_home and self.velocity_mps[2] < -SINKS_MPS:
+            legs = (column((*home_xy, self.here[2]), self.home[2]),)
         else:
             low_m = max(self.here[2], self.home[2] + self.height.least_m)
             level = Leg(here_xy, home_xy, low_m, self.highest_m)
@@ -99,17 +109,23 @@ class Returning:
 @dataclass(frozen=True, slots=True)
 class Departures:
     """``leave``: keys. ``climb``: by key, the height in the common frame to climb to in place. ``waits_for``: by key of
-    those that wait, the names of what is in their way."""
+    those that wait, the names of what is in their way. ``stuck``: those of them whose way does not become clear unless
+    somebody moves what is in it: by key, the names."""
 
     leave: tuple[int, ...] = ()
     climb: Mapping[int, float] = field(default_factory=dict)
     waits_for: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    stuck: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
 
 
 def departing(
-    waiting: Sequence[Returning], under_way: Sequence[Returning], fixed: Sequence[Way] = ()
+    waiting: Sequence[Returning],
+    under_way: Sequence[Returning],
+    fixed: Sequence[Way] = (),
+    stays: Collection[int] = (),
 ) -> Generator[None, None, Departures]:
-    """Decide which of ``waiting`` leave or climb now; yields after each of them. ``fixed``: what stays where it is."""
+    """Decide which of ``waiting`` leave or climb now; yields after each of them. ``fixed``: what does not move now.
+    ``stays``: keys of those of them that do not move without an order."""
     moving = [other.way(under_way=True) for other in under_way]
     leaving: dict[int, Way] = {}
     blocked: dict[int, tuple[list[Way], list[Returning]]] = {}
@@ -128,17 +144,24 @@ def departing(
         else:
             leaving[one.key] = way
         yield
-    climb = _climbs(ordered, blocked, [*moving, *leaving.values(), *fixed])
+    space = [*moving, *leaving.values(), *fixed]
+    climb = _climbs(ordered, blocked, space)
+    over, stuck = _over_those_that_stay(ordered, blocked, space, stays)
     waits_for = {
         key: tuple(dict.fromkeys((*(way.name for way in taken), *(other.name for other in there))))
         for key, (taken, there) in blocked.items()
     }
-    return Departures(tuple(leaving), climb, waits_for)
+    return Departures(tuple(leaving), climb or over, waits_for, stuck)
 
 
-def departures(waiting: Sequence[Returning], under_way: Sequence[Returning], fixed: Sequence[Way] = ()) -> Departures:
+def departures(
+    waiting: Sequence[Returning],
+    under_way: Sequence[Returning],
+    fixed: Sequence[Way] = (),
+    stays: Collection[int] = (),
+) -> Departures:
     """`departing` without a break."""
-    work = departing(waiting, under_way, fixed)
+    work = departing(waiting, under_way, fixed, stays)
     while True:
         try:
             next(work)
@@ -165,6 +188,34 @@ def _climbs(
         if found:
             return found
     return {}
+
+
+def _over_those_that_stay(
+    ordered: Sequence[Returning],
+    blocked: Mapping[int, tuple[list[Way], list[Returning]]],
+    taken: Sequence[Way],
+    stays: Collection[int],
+) -> tuple[dict[int, float], dict[int, tuple[str, ...]]]:
+    """One that may climb now above those that stay in its way home, with the height; and those that cannot get by."""
+    climb: dict[int, float] = {}
+    stuck: dict[int, tuple[str, ...]] = {}
+    for one in ordered:
+        staying = [way for way in blocked[one.key][0] if way.key in stays] if one.key in blocked else []
+        if not staying or math.isinf(one.highest_m):
+            continue
+        goal_m = one.here[2]
+        for way in staying:
+            ratio = pair_margin(one.footprint, way.footprint).downwash_ratio
+            goal_m = max(goal_m, way.heights[1] + ratio * needed_m(one.way(), way) + ABOVE_M)
+        raised = replace(one, here=(*one.here[:2], goal_m))
+        if any(too_near(raised.way(), way) for way in staying):
+            stuck[one.key] = tuple(way.name for way in staying)
+            continue
+        up = replace(one, goal_m=goal_m).place()
+        rest = [*taken, *(other.place() for other in ordered if other.key != one.key)]
+        if not climb and not any(too_near(up, way) for way in rest):
+            climb[one.key] = goal_m
+    return climb, stuck
 
 
 def _above(one: Returning, others: Sequence[Returning]) -> dict[int, float]:

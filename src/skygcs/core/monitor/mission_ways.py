@@ -136,7 +136,7 @@ def _return(legs: list[Leg], run: MissionRun, at: Vector, base: Vector) -> Vecto
     # it also sinks to its return height on the way, and stays at it
     low_m, high_m = min(at[2], base[2] + run.height.least_m), home.highest_m
     legs += (column(at, high_m), Leg(at[:2], base[:2], low_m, high_m))
-    if run.return_end in (ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.NOT_KNOWN):
+    if run.return_end in (ReturnEnd.HOLDS, ReturnEnd.LANDS_ON_ROTORS, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.NOT_KNOWN):
         legs.append(column((base[0], base[1], high_m), base[2]))
         return base
     return (base[0], base[1], low_m)

@@ -3,7 +3,7 @@
     a vehicle that                                      counts as
     -------------------------------------------------   -----------------------------------------------------------
     is armed, unless it reports itself on the ground    flying: watched against all others
-    is disarmed but shows signs of flight               flying
+    is disarmed but shows signs of flight               flying; its height is no sign while it reports the ground
     is disarmed, or armed on the ground                 parked: an obstacle at rest for what flies, not for one another
     reports no position, or an impossible one           not watched
     flies and has been silent for `TRACK_SILENT_S`      lost: not watched any more, an obstacle for orders
@@ -26,7 +26,7 @@ from skygcs.core.geo import EnuFrame, Origin, ecef
 from skygcs.core.monitor.approach import REST, Piece, Vector, arc, turn_radps
 from skygcs.core.quantile import median_low
 from skygcs.core.separation import Footprint
-from skygcs.core.vehicle.flight_evidence import contradiction
+from skygcs.core.vehicle.flight_evidence import moves_disarmed
 from skygcs.core.vehicle.order_plan import CLIMBED_M
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -270,9 +270,9 @@ def planned_path(track: Track, points: Sequence[Vector]) -> tuple[Piece, ...]:
 
 def is_flying(vehicle: Vehicle, now: float) -> bool:
     """True if it is to be taken for flying: it is under way, or its height or its telemetry contradicts that it stands
-    or is disarmed."""
+    or is disarmed. One that is disarmed and reports itself on the ground may stand high above its home."""
     if not vehicle.armed:
-        return contradiction(vehicle, now) is not None
+        return vehicle.duplicate_beside or moves_disarmed(vehicle, now) is not None
     if vehicle.under_way(now):
         return True
     position = vehicle.telemetry("position")

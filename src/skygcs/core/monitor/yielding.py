@@ -32,9 +32,10 @@ YIELDING_MODES = frozenset(
 """Modes of PX4 and ArduCopter in which a program or the autopilot flies it somewhere. In all others it is flown by its
 pilot, or comes down or home, which nobody may stop."""
 
-COMING_HOME = frozenset(
-    {"AUTO.RTL", "AUTO.LAND", "AUTO.PRECLAND", "AUTO.RTGS", "RTL", "LAND", "SMART_RTL", "AUTO_RTL", "TERMINATION"}
-)
+LANDING = frozenset({"AUTO.LAND", "AUTO.PRECLAND", "LAND", "TERMINATION"})
+"""Modes in which it comes down where it is."""
+
+COMING_HOME = LANDING | {"AUTO.RTL", "AUTO.RTGS", "RTL", "SMART_RTL", "AUTO_RTL"}
 
 
 def why_not_yield(track: Track, now: float) -> str | None:

@@ -92,7 +92,7 @@ def placed(
 ) -> list[Vector]:
     """The points with their middle moved to ``middle_m``, turned by ``yaw_rad`` and scaled. Raises RefusedError."""
     if not (0.01 <= scale <= 100.0 and math.isfinite(yaw_rad)):  # also for NaN
-        raise RefusedError(f"a scale of {scale:g} is not between 0.01 and 100, or a yaw of {yaw_rad:g} is no angle")
+        raise RefusedError(f"a scale of {scale:g} is not between 0.01 and 100, or a yaw of {yaw_rad:g} is not an angle")
     middle = middle_of(points_m)
     cos, sin = math.cos(yaw_rad) * scale, math.sin(yaw_rad) * scale
     found = []

@@ -115,7 +115,9 @@ class _PathReader:
                 self._end(number, item)
             case _:
                 name = _NAMES.get(item.command, f"command {item.command}")
-                raise self._not_flown(where, f"{name} is no part of a path: it takes off, flies to waypoints and lands")
+                raise self._not_flown(
+                    where, f"{name} is not a part of a path: it takes off, flies to waypoints and lands"
+                )
 
     def trajectory(self) -> Trajectory:
         """The whole path."""

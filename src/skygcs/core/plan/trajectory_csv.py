@@ -211,7 +211,7 @@ def _place(source: str, where: str, row: Mapping[str, str], origin: Origin) -> V
     if integers:
         lat, lon = lat * 1e-7, lon * 1e-7
     if abs(lat) > 90.0 or abs(lon) > 180.0:
-        raise PlanFileError(source, where, f"{lat:g}, {lon:g} is no place on earth")
+        raise PlanFileError(source, where, f"{lat:g}, {lon:g} is not a place on earth")
     name = "alt_amsl" if row.get("alt_amsl") else "alt"
     altitude = number_of(source, where, name, row.get(name), 1e8) * (1e-3 if integers else 1.0)
     amsl = altitude if name == "alt_amsl" else altitude + origin.alt_amsl_m

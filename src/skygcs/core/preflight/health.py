@@ -347,7 +347,7 @@ def _because(texts: list[str]) -> str:
 
 def version_problem(text: str) -> str | None:
     """Why a version cannot be compared; None if it can."""
-    return None if _VERSION.fullmatch(text) else f"{text!r} is no version such as 1.16.0 or 4.6.2-beta1"
+    return None if _VERSION.fullmatch(text) else f"{text!r} is not a version such as 1.16.0 or 4.6.2-beta1"
 
 
 def _version(text: str) -> tuple[int, ...]:

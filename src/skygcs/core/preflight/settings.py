@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from skygcs.core.mavlink.param_encoding import value_text
-from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, HeightParam, ReturnEnd
+from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, RTL_LAND_DELAY, HeightParam, ReturnEnd
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import PreflightFacts
@@ -16,9 +16,11 @@ from skygcs.core.preflight.report import Finding, Fix, Severity, Verdict, failed
 from skygcs.core.preflight.rules import Rule
 from skygcs.core.vehicle.offboard_entry import (
     BY_STICKS,
+    FALLS,
     LONGEST_LEAN_S,
     NO_STICKS,
     PILOT_GOES_ON,
+    PX4_LOSS_ACTS,
     PX4_THRUST_TYPES,
     THRUST_AS_THRUST,
 )
@@ -209,7 +211,9 @@ def return_end(facts: PreflightFacts, wanted: Expectations) -> Finding:
             return _not_known(facts, name)
     ends = able.return_rule(facts.value)
     values = ", ".join(f"{name} {value_text(facts.value(name) or 0)}" for name in able.return_params)
-    text = f"at home {ends} ({values})"
+    text = f"on a return {ends} ({values})"
+    if ends.end is ReturnEnd.HOLDS:
+        return failed(text, f"set {RTL_LAND_DELAY} to 0 if it is to land there", severity=Severity.NOTE)
     if Q_OPTIONS not in able.failsafe_params:
         return passed(text)
     options = int(facts.value(Q_OPTIONS) or 0)
@@ -335,6 +339,12 @@ def setpoint_loss(facts: PreflightFacts, wanted: Expectations) -> Finding:
     action = facts.value("COM_OBL_RC_ACT")
     if action is None:
         return _not_known(facts, "COM_OBL_RC_ACT")
+    repair, fix = f"set COM_OBL_RC_ACT to {HOLD} (Hold) or 3 (Return)", Fix("COM_OBL_RC_ACT", HOLD, action)
+    if action in FALLS:
+        does = PX4_LOSS_ACTS[int(action)]
+        return failed(
+            f"COM_OBL_RC_ACT is {value_text(action)}: if the setpoints stop, it {does} and falls", repair, fix
+        )
     off = facts.value("COM_RC_IN_MODE") == STICKS_OFF
     if action not in BY_STICKS or (facts.sticks in SEEN_AT_ALL and not off):
         return passed(f"COM_OBL_RC_ACT {value_text(action)}")
@@ -342,8 +352,8 @@ def setpoint_loss(facts: PreflightFacts, wanted: Expectations) -> Finding:
     return failed(
         f"COM_OBL_RC_ACT is {value_text(action)}: if the setpoints stop, it changes to {BY_STICKS[int(action)]} "
         f"mode, and {why}",
-        f"set COM_OBL_RC_ACT to {HOLD} (Hold) or 3 (Return)",
-        Fix("COM_OBL_RC_ACT", HOLD, action),
+        repair,
+        fix,
     )
 
 

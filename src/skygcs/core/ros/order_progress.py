@@ -134,10 +134,12 @@ class OrderProgress:
     def __init__(self, order: Order, goal: Fields, state: Fields, takeoff_height_m: float | None = None) -> None:
         """``state``: of the vehicle, as the daemon sent it last. ``takeoff_height_m``: where a take-off gives none.
         Raises GoalError."""
+        # what is shown
         self.order = order
         self.distance_m = math.nan
         """To the place, or of height; NaN: not known."""
         self.height_m = math.nan
+        # where it begins and where it is to end
         self._vehicle: str = state["name"]
         self._state = state
         self._begin_m = _number((state.get("position") or {}).get("alt_rel_m"))
@@ -149,6 +151,7 @@ class OrderProgress:
         """The height that a goto without one keeps: that of its execution, which may follow a take-off."""
         self._place_m: list[float] | None = None
         """A goto's place in the frame map; None: it is given otherwise."""
+        # measure of what is left, by order
         self._measure: Callable[[Fields], float] = lambda position: max(self.height_m, 0.0)
         if order == "goto":
             self._tolerance_m = tolerance_m(goal)
@@ -156,6 +159,7 @@ class OrderProgress:
         elif order == "takeoff":
             self._rise_m = goal["height_m"] or takeoff_height_m or math.nan
             self._measure = lambda position: max(self._rise_m - self.height_m, 0.0)
+        # the order's acceptance and its end
         self._outcomes: list[str] = []
         """Orders that were accepted since this one was sent, until its own outcome is known."""
         self._own_due = 0

@@ -124,7 +124,7 @@ def _mode(command: Fields) -> str:
         raise RequestError("DO_SET_MODE: give param1 1 and PX4's main mode as param2, as 1 and 6 for OFFBOARD")
     name = px4_mode_name(int(main) << 16 | (0 if math.isnan(sub) else int(sub)) << 24)
     if name.startswith("UNKNOWN"):
-        raise RequestError(f"DO_SET_MODE: {name} is no mode of PX4")
+        raise RequestError(f"DO_SET_MODE: {name} is not a mode of PX4")
     return name
 
 

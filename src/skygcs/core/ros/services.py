@@ -215,7 +215,7 @@ def ros2_value(value: float | None, type_: str | None) -> dict[str, Any]:
 def _require_command(request: Fields) -> None:
     """Raise RequestError for 0, which is no MAV_CMD: the request of a node that has set nothing, or bytes of zeros."""
     if request["command"] == 0:
-        raise RequestError("0 is no command")
+        raise RequestError("0 is not a command")
 
 
 def _number(value: float) -> float | None:

@@ -234,7 +234,7 @@ def raw_attitude(fields: Fields, frame: LocalFrame) -> Demand:
     """setpoint_raw/attitude: an attitude or body rates, with a thrust."""
     mask = fields["type_mask"]
     if mask & IGNORE_THRUST:
-        raise SetpointError("type_mask ignores the thrust: an attitude alone is no setpoint")
+        raise SetpointError("type_mask ignores the thrust: an attitude alone is not a setpoint")
     if not mask & IGNORE_ATTITUDE:
         return attitude(quaternion_of(fields["orientation"]), fields["thrust"], frame)
     if mask & IGNORE_RATES:

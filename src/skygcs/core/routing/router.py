@@ -1,4 +1,4 @@
-"""The routing table, and every routing rule: on which channels a source was heard, and where a frame goes.
+"""Every routing rule: where a frame goes. On which channels a source was heard: `core.routing.routing_table`.
 
 Rules (https://mavlink.io/en/guide/routing.html, and what a ground router of many vehicles needs on top):
 
@@ -37,26 +37,18 @@ Never back to the channel it came from. SYSTEM_TIME going back means the system 
 
 from __future__ import annotations
 
-import math
 import struct
-from collections import deque
-from collections.abc import Callable, Collection
-from functools import partial
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS, SYSTEM_TIME
 from skygcs.core.routing.channel import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
-from skygcs.core.routing.decision import Decision, ForwardingEntry, RouteNote, RoutingVerdict
+from skygcs.core.routing.decision import Decision, ForwardingEntry, RoutingVerdict
 from skygcs.core.routing.duplicates import CHANNEL_SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.routing.filters import ChannelPolicy
-from skygcs.core.routing.state_source import Known, SourceReport, StateSource
-from skygcs.core.routing.table_room import RouteRoom
+from skygcs.core.routing.routing_table import MAX_NOTES, RoutingTable
+from skygcs.core.routing.source_selection import SourceSelection
 
-FORGOTTEN_S = 10.0
-"""A vehicle is on one channel again when no other one has had a frame with its ids for this time."""
-
-MAX_NOTES = 256
 CONFLICT_QUIET_S = 60.0
 """A conflict is reported again only after this time without one on the same channel."""
 
@@ -78,7 +70,7 @@ _OUT_OF_BOUNDS = Decision(RoutingVerdict.OUT_OF_BOUNDS)
 
 
 class Router:
-    """The routing table. Channels are opened and closed by the host; `decide` learns from a frame and routes it."""
+    """Routes frames. Channels are opened and closed by the host; `decide` learns from a frame and routes it."""
 
     def __init__(
         self,
@@ -95,43 +87,24 @@ class Router:
         self._own_source = own_sysid << 8 | own_compid
         self._own_compid = own_compid
         self._route_timeout_s = route_timeout_s
-        self._vehicle_timeout_s = vehicle_timeout_s
-        # ports, and the routes that lead to them
-        self._ports: dict[int, Port] = {}
-        self._by_source: dict[int, list[Port]] = {}
-        self._by_system: dict[int, list[Port]] = {}
+        # routes, and the choice of the channel of each vehicle's state
+        self.table = RoutingTable()
+        self.selection = SourceSelection(self.table, vehicle_timeout_s)
+        # the same collections, without a further step for every frame
+        self._ports = self.table.ports
+        self._by_source = self.table.by_source
+        self._by_system = self.table.by_system
+        self._heard_directly = self.table.heard_directly
+        self.state_sources = self.selection.sources
+        """By sysid<<8|compid: the vehicles that are heard on several channels, or were just now."""
+        # copies of frames, and parallel links
         self._duplicates: FirstHeard = DuplicateFilter() if duplicates is None else duplicates
-        self.on_change: Callable[[], None] = lambda: None
-        """Called whenever an answer of `forwarding_entry`, also None, may have become wrong."""
-        # parallel links and copies of frames
         self._dedup = False
         self._any_bound = False
         self._parallel: dict[int, ParallelChannels] = {}
-        self._heard_directly: set[int] = set()
-        """Autopilots heard on their own links: from a ground station or a recording their frames are echoes."""
-        self._first_channel_id = 0
+        self.first_channel_id = 0
         """The channel on which the last copy was heard first."""
-        # choice of the channel of each vehicle's state
-        self.state_sources: dict[int, StateSource] = {}
-        """By sysid<<8|compid: the vehicles that are heard on several channels, or were just now; see `supplies`."""
-        # facts and callbacks of the fleet
-        self.known: Callable[[int], Known | None] = lambda source: None
-        """The last frames of a vehicle whose state is kept; None for any other source."""
-        self.on_replaced: Callable[[int], None] = lambda source: None
-        """Called when another vehicle has taken a known one's place (or the same one restarted on another channel),
-        before its first frame counts."""
-        self.on_switched: Callable[[int, int], None] = lambda source, channel_id: None
-        """Called when a vehicle's state comes over this channel from now on, which also gets its orders."""
-        self.may_fly: Callable[[int], bool] = lambda source: False
-        """True if this is a vehicle that may be in the air: its last route stays (`core.vehicle.supply`)."""
-        self.received: Callable[[int, int], tuple[int, int] | None] = lambda channel_id, source: None
-        """Frames received and lost of a source on a channel; None: not counted."""
-        # bounds and counters
-        self._room = RouteRoom()
         self.counters: dict[RoutingVerdict, int] = dict.fromkeys(RoutingVerdict, 0)
-        self.unreported_routes = 0
-        """Routes learned or expired that were not reported."""
-        self.notes: deque[RouteNote] = deque(maxlen=MAX_NOTES)
 
     # -- channels
 
@@ -140,54 +113,25 @@ class Router:
         if channel_id in self._ports:
             raise ValueError(f"channel {channel_id} is open already")
         self._ports[channel_id] = Port(channel_id, policy)
-        self._topology_changed()
+        self._channels_changed()
 
     def close(self, channel_id: int) -> None:
         """The channel is gone, and all its routes with it. Unknown ids are ignored."""
-        port = self._ports.pop(channel_id, None)
+        port = self._ports.get(channel_id)
         if port is None:
             return
-        for state in self.state_sources.values():
-            state.closed(channel_id)
-        for source in list(port.heard):
-            self._forget(port, source)
+        self.selection.closed(channel_id)
+        self.table.close(port)
         for system, parallel in list(self._parallel.items()):
             parallel.forget(channel_id)
             if len(parallel.channel_ids) < 2:
                 del self._parallel[system]
-        self._topology_changed()
+        self._channels_changed()
 
-    def _topology_changed(self, source: int | None = None) -> None:
-        """Note that what a channel may send has changed: because of this source, or (None) because a channel came or
-        went."""
-        self.on_change()
-        for port in self._ports.values():
-            port.broadcast.clear()
-        if source is not None:  # the others are as they were: a flood of sources costs each only its own
-            if self._is_heard_directly(source):
-                self._heard_directly.add(source)
-            else:
-                self._heard_directly.discard(source)
-            return
+    def _channels_changed(self) -> None:
+        self.table.topology_changed()
         self._dedup = len(self._ports) > 1
         self._any_bound = any(port.bound for port in self._ports.values())
-        self._heard_directly = {
-            source for port in self._ports.values() for source in port.vehicles if self._is_heard_directly(source)
-        }
-
-    def _is_heard_directly(self, source: int) -> bool:
-        """True if a vehicle is heard over a channel of its own, not only through a ground station or in a recording."""
-        if not any(
-            source in port.vehicles and port.policy.role != "gcs" and not port.policy.replayed
-            for port in self._by_source.get(source, ())
-        ):
-            return False
-        return source not in self.state_sources or not self._is_station(self.state_sources[source].present_id)
-
-    def _is_station(self, channel_id: int | None) -> bool:
-        """True if this is the channel of a ground station."""
-        port = self._ports.get(channel_id or 0)
-        return port is not None and port.policy.role == "gcs"
 
     # -- one frame
 
@@ -239,7 +183,7 @@ class Router:
 
     def forwarding_entry(self, channel_id: int, frame: Frame) -> ForwardingEntry | None:
         """The decision for all further frames of this source and message that have no target and are no copies (and,
-        for heartbeats, have the same payload), until `on_change`. None: `decide` must be called for each.
+        for heartbeats, have the same payload), until the table's `on_change`. None: `decide` must be called for each.
         """
         port = self._ports[channel_id]
         source = frame.sysid << 8 | frame.compid
@@ -398,163 +342,13 @@ class Router:
     def _learn(self, port: Port, source: int, frame: Frame, now: float) -> None:
         if source >> 8 == 0:
             return  # system 0 is "all" as a target: a route to it would catch every broadcast
-        self._share_state(port, source, now)
-        if not self._room.is_free(port) and not self._make_room(port, source, frame, now):
-            return
-        port.heard[source] = now
-        port.of_system.setdefault(source >> 8, set()).add(source)
-        self._room.added(port)
-        ports = self._by_source.setdefault(source, [])
-        if ports:
-            self.on_change()
-        ports.append(port)
-        systems = self._by_system.setdefault(source >> 8, [])
-        if port not in systems:
-            systems.append(port)
-        self._note_route("learned", source, port, now)
-
-    def _make_room(self, port: Port, source: int, frame: Frame, now: float) -> bool:
-        """True if a new source may be kept on a full channel: an autopilot may, if another source can be removed."""
-        if self._room.became_crowded(port.policy.link, now):
-            self._note("crowded", source, port)
-        place = None
-        if frame.msgid == HEARTBEAT and discovers(frame):
-            place = self._room.gives_way(port, self._ports.values())
-        if place is None:
-            self._room.refused += 1
-            port.routes_refused += 1
-            return False
-        crowded, silent = place
-        self._room.evicted += 1
-        crowded.routes_evicted += 1
-        self._forget(crowded, silent)
-        return True
-
-    def _forget(self, port: Port, source: int) -> None:
-        self.on_change()
-        del port.heard[source]
-        port.boot_ms.pop(source, None)
-        self._room.removed(port)
-        _remove(self._by_source, source, port)
-        system = source >> 8
-        port.of_system[system].discard(source)
-        if not port.of_system[system]:
-            del port.of_system[system]
-            _remove(self._by_system, system, port)
-        if source in port.vehicles:
-            port.vehicles.discard(source)
-            self._topology_changed(source)
-
-    # -- vehicles on several channels
-
-    def _share_state(self, port: Port, source: int, now: float) -> None:
-        """A channel has frames of a source for the first time: if it is a vehicle that others hear, or that was heard
-        before, one of them supplies its state from now on."""
-        if source in self.state_sources or port.policy.replayed:
-            return
-        others = [p for p in self._by_source.get(source, ()) if p is not port and not p.policy.replayed and not p.bound]
-        replayed = any(p.policy.replayed for p in self._by_source.get(source, ()))  # ground stations echo it
-        hearing = [p for p in others if source in p.vehicles and not (replayed and p.policy.role == "gcs")]
-        known = self.known(source)
-        if hearing:
-            before = max(hearing, key=lambda p: p.heard[source])
-            lost_s, cost = self._vehicle_timeout_s, before.policy.cost
-            state = StateSource(before.id, before.policy.link, known, now, lost_s=lost_s, cost=cost)
-        elif known is not None and not others:
-            state = StateSource(None, "", known, now, lost_s=self._vehicle_timeout_s)
-        else:
-            return
-        self.state_sources[source] = state
-        self._topology_changed(source)
-
-    def supplies(self, channel_id: int, frame: Frame, now: float, *, copy: bool) -> bool:
-        """True if this frame, of one of `state_sources`, counts for the vehicle's state; call it after `decide`.
-        ``copy``: the verdict was DUPLICATE."""
-        port = self._ports[channel_id]
-        source = frame.sysid << 8 | frame.compid
-        state = self.state_sources[source]
-        if port.policy.replayed or port.bound or frame.info is None:
-            return False
-        if source in self._heard_directly and port.policy.role == "gcs":
-            return False
-        of, cost = self._first_channel_id if copy else None, port.policy.cost
-        counts = state.accepts(channel_id, port.policy.link, frame, now, of=of, cost=cost)
-        handed_back = not counts and port.policy.role != "gcs" and self._is_station(state.present_id)
-        if handed_back and state.is_original(channel_id):
-            state.take_over(channel_id, now)
-            counts = True
-        if state.reports:
-            self._report(source, state)
-        return counts
-
-    def _report(self, source: int, state: StateSource) -> None:
-        reports, state.reports = state.reports, []
-        for report in reports:
-            if not report.quiet:
-                self._note_report(source, report)
-            if report.kind in ("switched", "replaced"):
-                self._topology_changed(source)
-                self._drop_echo_routes(source)
-                self.on_switched(source, report.channel_id or 0)
-            if report.kind == "replaced":
-                self.on_replaced(source)
-
-    def _note_report(self, source: int, report: SourceReport) -> None:
-        channel_id, present_id = report.channel_id or 0, report.present_id or 0
-        note = RouteNote(
-            report.kind,
-            source >> 8,
-            source & 0xFF,
-            channel_id,
-            present_id=present_id,
-            why=report.why,
-            count=report.count,
-        )
-        self.notes.append(note)
-
-    def _tick_state(self, source: int, state: StateSource, now: float) -> None:
-        state.tick(now)
-        if state.reports:
-            self._report(source, state)
-        ports = self._by_source.get(source, [])
-        alone = not ports or (len(ports) == 1 and ports[0].id == state.present_id)
-        if alone and not state.duplicate and now - state.heard_elsewhere_at() > FORGOTTEN_S:
-            del self.state_sources[source]
-            self._topology_changed(source)
-
-    def choose_links(self, now: float) -> None:
-        """Assess the links to each vehicle that is heard on several, and change over to better ones. Call it some times
-        a second."""
-        for source, state in list(self.state_sources.items()):
-            state.choose(partial(self._received, source), now)
-            if state.reports:
-                self._report(source, state)
-
-    def uplink_lost(self, source: int) -> None:
-        """This vehicle does not hear us over the link that is used; without effect if it is heard on one only."""
-        if (state := self.state_sources.get(source)) is not None:
-            state.uplink_lost()
-
-    def links_to_probe(self, now: float) -> list[tuple[int, int]]:
-        """Vehicles and channels over which they did not hear us and are to be asked again now."""
-        return [(source, i) for source, state in self.state_sources.items() for i in state.to_probe(now)]
-
-    def _received(self, source: int, channel_id: int) -> tuple[int, int] | None:
-        return self.received(channel_id, source)
+        self.selection.heard_first(port, source, now)
+        self.table.learn(port, source, frame, now)
 
     def expire(self, now: float) -> None:
         """Forget routes that were not heard for the route timeout. Call it about once a second."""
-        limit = now - self._route_timeout_s
-        for port in self._ports.values():
-            for source in [s for s, at in port.heard.items() if at < limit and not self._leads_to_flying(port, s)]:
-                self._forget(port, source)
-                self._note_route("expired", source, port, now)
-        if self._room.crowded:
-            for link in self._room.became_ample(self._ports.values()):
-                for port in [p for p in self._ports.values() if p.policy.link == link][:1]:
-                    self._note("crowded_over", 0, port)
-        for source, state in list(self.state_sources.items()):
-            self._tick_state(source, state, now)
+        self.table.expire(now - self._route_timeout_s, now)
+        self.selection.tick(now)
 
     def _check_reboot(self, port: Port, frame: Frame, source: int, now: float) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears the system's routes. Routes with frames
@@ -571,11 +365,11 @@ class Router:
                 for known in sorted(other.of_system.get(system, ())):
                     there = state is None and now - other.heard[known] <= HEARD_NOW_S
                     if (other, known) != (port, source) and not there:
-                        self._forget(other, known)
+                        self.table.forget(other, known)
             if not port.bound:
                 self._parallel.pop(system, None)
-            self.on_change()
-            self._note_some("cleared", source, port, now)
+            self.table.on_change()
+            self.table.note_problem("cleared", source, port, now)
         if source in port.heard:
             port.boot_ms[source] = boot_ms
 
@@ -586,31 +380,14 @@ class Router:
         if source not in port.vehicles:
             port.vehicles.add(source)
             if len(self._by_source[source]) > 1:
-                self._share_state_of_new(port, source, now)
-            self._topology_changed(source)
-            self._drop_echo_routes(source)
-
-    def _share_state_of_new(self, port: Port, source: int, now: float) -> None:
-        """A source heard on several channels was found to be a vehicle on this one."""
-        if source in self.state_sources or port.policy.replayed or port.bound:
-            return
-        if any(p is not port and not p.policy.replayed and not p.bound for p in self._by_source[source]):
-            lost_s, cost = self._vehicle_timeout_s, port.policy.cost
-            state = StateSource(port.id, port.policy.link, None, now, lost_s=lost_s, cost=cost)
-            self.state_sources[source] = state
-
-    def _drop_echo_routes(self, source: int) -> None:
-        """Drop routes through ground stations and recordings, by which a vehicle may have been heard first."""
-        if source not in self._heard_directly:
-            return
-        for port in self._ports.values():
-            if source in port.heard and (port.policy.role == "gcs" or port.policy.replayed):
-                self._forget(port, source)
+                self.selection.found_vehicle(port, source, now)
+            self.table.topology_changed(source)
+            self.table.drop_echo_routes(source)
 
     def _echo(self, port: Port, source: int, now: float) -> Decision:
         if source not in port.echoes and len(port.echoes) < MAX_NOTES:
             port.echoes.add(source)
-            self._note_some("echo", source, port, now)
+            self.table.note_problem("echo", source, port, now)
         return self._counted(_DUPLICATE)
 
     def _is_copy(self, port: Port, frame: Frame, source: int, now: float) -> bool:
@@ -619,9 +396,9 @@ class Router:
         system = source >> 8
         parallel = self._parallel.get(system)
         copy = first != port.id and first in self._ports
-        self._first_channel_id = first
+        self.first_channel_id = first
         if copy and parallel is None:
-            self.on_change()
+            self.table.on_change()
             parallel = self._parallel[system] = ParallelChannels(first)
             parallel.on_frame(first, copy=False)
         if parallel is not None:
@@ -633,15 +410,15 @@ class Router:
     def _end_parallel(self, system: int, now: float) -> None:
         """SCORE_FRAMES frames came without copies. A channel that was silent meanwhile loses its routes to it."""
         parallel = self._parallel.pop(system)
-        self.on_change()
+        self.table.on_change()
         for port in list(self._by_system.get(system, ())):
             if port.id in parallel.channel_ids and now - self._last_heard(port, system) > CHANNEL_SILENT_S / 2:
                 for source in sorted(port.of_system.get(system, ())):
-                    self._forget(port, source)
+                    self.table.forget(port, source)
 
     def _conflict(self, port: Port, frame: Frame, now: float) -> Decision:
         if now - port.conflict_at > CONFLICT_QUIET_S:
-            self._note_some("conflict", frame.sysid << 8 | frame.compid, port, now)
+            self.table.note_problem("conflict", frame.sysid << 8 | frame.compid, port, now)
         port.conflict_at = now
         return self._counted(_CONFLICT)
 
@@ -650,40 +427,10 @@ class Router:
         port.out_of_bounds += 1
         if target not in port.refused:
             port.refused.add(target)
-            self._note_some("out_of_bounds", source, port, now, target)
+            self.table.note_problem("out_of_bounds", source, port, now, target)
         return self._counted(_OUT_OF_BOUNDS)
 
-    def _note_route(self, kind: str, source: int, port: Port, now: float) -> None:
-        """Report a route that came or went, up to the link's rate of such reports."""
-        if self._room.may_note(port.policy.link, now):
-            self._note(kind, source, port)
-        else:
-            self.unreported_routes += 1
-
-    def _note_some(self, kind: str, source: int, port: Port, now: float, target: int = 0) -> None:
-        """The same for problems, with a rate of their own: a flood of learned routes hides none."""
-        if self._room.may_note(f"{port.policy.link}: wrong", now):
-            self._note(kind, source, port, target)
-
-    def _note(self, kind: str, source: int, port: Port, target: int = 0) -> None:
-        self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))
-
     # -- status
-
-    @property
-    def refused_routes(self) -> int:
-        """Frames of sources for which the table had no room (`core.routing.table_room`)."""
-        return self._room.refused
-
-    @property
-    def evicted_routes(self) -> int:
-        """Sources that were removed for an autopilot."""
-        return self._room.evicted
-
-    @property
-    def duplicates(self) -> set[int]:
-        """Autopilot ids (sysid<<8|compid) that two vehicles use."""
-        return {source for source, state in self.state_sources.items() if state.duplicate}
 
     def channels_of(self, source: int) -> tuple[int, ...]:
         """Ids of the channels on which this sysid<<8|compid is heard; for a vehicle, the one that supplies its state
@@ -693,32 +440,6 @@ class Router:
         if state is not None:
             ports = sorted(ports, key=lambda p: p.id != state.present_id)
         return tuple(p.id for p in ports)
-
-    def leads_to_flying(self, channel_id: int) -> bool:
-        """True if this is the last way to a vehicle that may be in the air."""
-        port = self._ports.get(channel_id)
-        return port is not None and any(self._leads_to_flying(port, source) for source in port.vehicles)
-
-    def _leads_to_flying(self, port: Port, source: int) -> bool:
-        """True if no other channel has heard this source later, and it may be in the air."""
-        if source not in port.vehicles or not self.may_fly(source):
-            return False
-        return all(p.heard[source] <= port.heard.get(source, -math.inf) for p in self._by_source.get(source, ()))
-
-    def autopilots_on(self, channel_id: int) -> Collection[int]:
-        """The autopilots (sysid<<8|compid) that are heard on a channel."""
-        port = self._ports.get(channel_id)
-        return () if port is None else port.vehicles
-
-    def hears(self, channel_id: int, system: int) -> bool:
-        """True if there is a route to this system over this channel."""
-        port = self._ports.get(channel_id)
-        return port is not None and system in port.of_system
-
-    def routes(self) -> list[tuple[int, int, int, float]]:
-        """(sysid, compid, channel id, last heard at), sorted."""
-        rows = [(s >> 8, s & 0xFF, p.id, at) for p in self._ports.values() for s, at in p.heard.items()]
-        return sorted(rows)
 
     def port_counters(self, channel_id: int) -> dict[str, int]:
         """Counts of frames that one channel rejected: by filters, limits and its vehicles."""
@@ -733,10 +454,3 @@ class Router:
 def _has_target(frame: Frame) -> bool:
     """True if the message has a target field, whatever its value."""
     return frame.info is not None and frame.info.target_system_offset >= 0
-
-
-def _remove(table: dict[int, list[Port]], key: int, port: Port) -> None:
-    ports = table[key]
-    ports.remove(port)
-    if not ports:
-        del table[key]

@@ -17,10 +17,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from fastcrc.crc16 import mcrf4xx
-
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.header import decode_header, encode_header
+from skygcs.core.mavlink.header import decode_header, encode_header, mcrf4xx
 
 
 class SysidTranslator:

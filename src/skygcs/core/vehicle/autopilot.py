@@ -361,6 +361,11 @@ def firmware_name(vehicle: Vehicle) -> str:
     return {"px4": "PX4", "ardupilot": "ArduPilot"}.get(vehicle.family, "its autopilot")
 
 
+def arms(spec: CommandSpec) -> bool:
+    """True for the command that arms."""
+    return spec.command == mav_cmd.COMPONENT_ARM_DISARM and spec.params[:1] != (0.0,)
+
+
 def _arm_step(*, force: bool = False, skip_if_met: bool = False) -> Step:
     spec = CommandSpec(mav_cmd.COMPONENT_ARM_DISARM, (1.0, FORCE_ARM_MAGIC if force else 0.0))
     undo = Step("disarm again", CommandSpec(mav_cmd.COMPONENT_ARM_DISARM, (0.0, 0.0)), expect=ArmedIs(False))

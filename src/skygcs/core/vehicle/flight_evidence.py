@@ -102,6 +102,16 @@ def contradiction(vehicle: Vehicle, now: float) -> str | None:
     return flight_evidence(vehicle, now)
 
 
+def moves_disarmed(vehicle: Vehicle, now: float, state_within_s: float = FRESH_S) -> str | None:
+    """Why a disarmed vehicle may be in the air all the same. Its height above home counts only while it does not report
+    itself on the ground, in this time: that may be higher than home, which ArduCopter keeps until it is armed again."""
+    if not vehicle.abilities.flies:
+        return None
+    state, at = vehicle.landed_state()
+    on_ground = state == "on_ground" and at > vehicle.armed_at and now - at <= state_within_s
+    return motion_evidence(vehicle, now) or (None if on_ground else height_evidence(vehicle, now))
+
+
 def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
     """Why a heartbeat that shows the vehicle disarmed is doubted; None if it is not."""
     if (evidence := contradiction(vehicle, now)) is not None:
@@ -111,10 +121,17 @@ def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
     return None
 
 
+def is_being_armed(vehicle: Vehicle, now: float) -> bool:
+    """True if an arming of ours may have armed it and no heartbeat has shown that yet."""
+    return vehicle.armed_at < vehicle.arming_at and now <= vehicle.arming_until
+
+
 def why_not_idle(vehicle: Vehicle, now: float) -> str | None:
     """Why the vehicle must be treated as armed, and orders dangerous in the air be refused; None: it is idle."""
     if vehicle.armed:
         return "it is armed"
+    if is_being_armed(vehicle, now):
+        return "it is being armed"
     if (why := why_maybe_flying(vehicle, now)) is not None:
         return why
     state, at = vehicle.landed_state()
@@ -221,18 +238,11 @@ class LandingWatch:
             shown, at = vehicle.timed_telemetry(name)
             if shown is None or at is None or at < since:
                 return Landed(None, f"no {name} has come since it was disarmed")
-        if vehicle.abilities.flies and (moves := self._moves(vehicle, now)) is not None:
+        if (moves := moves_disarmed(vehicle, now, math.inf)) is not None:
             return Landed(None, f"it is disarmed, but {moves}")
         return Landed(True, "")
 
     # -- internal
-
-    def _moves(self, vehicle: Vehicle, now: float) -> str | None:
-        """Why it may be in the air although it is disarmed. Its height above home counts only while it does not report
-        itself on the ground: that may be higher than home, which ArduCopter keeps until it is armed again."""
-        state, at = vehicle.landed_state()
-        on_ground = state == "on_ground" and at > vehicle.armed_at
-        return motion_evidence(vehicle, now) or (None if on_ground else height_evidence(vehicle, now))
 
     def _note_height(self, vehicle: Vehicle) -> None:
         position, at = vehicle.timed_telemetry("position")

@@ -222,6 +222,11 @@ class FlightLock:
         """The same lock of some of its members."""
         return replace(self, members=tuple(member for member in self.members if member.name in names))
 
+    def in_modes(self, modes: Mapping[str, str]) -> FlightLock:
+        """The same lock of members that are in these modes by now."""
+        members = tuple(replace(member, mode=modes.get(member.name, member.mode)) for member in self.members)
+        return replace(self, members=members)
+
     def path_refusal(self, name: str, loaded: LoadedTrajectory, speed_factor: float) -> str | None:
         """Why a member may not be sent along this trajectory at all, wherever it is now; None if it may."""
         member = self.member(name)

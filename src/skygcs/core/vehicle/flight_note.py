@@ -76,6 +76,8 @@ class FlightNote:
     flown_s: float = 0.0
     dropped_percent: float = 0.0
     """Percent that its battery lost in ``flown_s`` of flight."""
+    waits: bool = False
+    """It holds until the daemon sends it home, and nobody else does that."""
 
     @property
     def key(self) -> int:
@@ -91,6 +93,7 @@ class FlightNote:
             "frames": [[round(at, 3), raw.hex()] for at, raw in self.frames],
             "flown_s": round(self.flown_s, 1),
             "dropped_percent": self.dropped_percent,
+            "waits": self.waits,
         }
 
     @classmethod
@@ -113,13 +116,14 @@ class FlightNote:
             frames,
             max(0.0, _finite(table["flown_s"])),
             max(0.0, _finite(table["dropped_percent"])),
+            table.get("waits") is True,
         )
 
 
 def _finite(value: Any) -> float:
     number = float(value)
     if not math.isfinite(number):
-        raise ValueError(f"{value!r} is no number")
+        raise ValueError(f"{value!r} is not a number")
     return number
 
 

@@ -15,11 +15,13 @@ At the end it holds: a PX4 changes to AUTO.LOITER for that. One that hears no tr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Literal, NamedTuple
 
+from skygcs.core.geo import distance_m
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass
@@ -396,6 +398,17 @@ MISSION_OVER_MODES = frozenset({"AUTO.LOITER"})
 """Modes to which a PX4 changes when its mission has ended (Commander.cpp, checkForMissionUpdate)."""
 
 
+AT_HOME_M = 5.0
+"""A rover that returns stops so near its home (Rover: WP_RADIUS is 2 m)."""
+
+HOME_S = 5.0
+"""So long it has to stay at its home before its return has ended. A PX4 that begins its return above its home stands
+there before it climbs, and again, once it has come, before it sinks (rtl_direct.cpp: CLIMBING, MOVE_TO_LOITER)."""
+
+STANDS_MPS = 0.5
+"""Slower than any rover drives or copter sinks, and more than the noise of a GPS."""
+
+
 class Phase(Enum):
     """A reason to wait: in words, and the longest wait, s."""
 
@@ -433,6 +446,8 @@ class Turn(NamedTuple):
     """That item is a return."""
     at_home: bool = False
     """It is where it holds at the end of a return that does not land."""
+    home_s: float = math.inf
+    """How long it has been there without a break."""
     landed: Landed = NOT_LOOKED_AT
     """The verdict on a landing (`flight_evidence.LandingWatch`)."""
     waited_s: float = 0.0
@@ -472,7 +487,7 @@ def next_turn(flown: Turn) -> TurnDecision:
     is on its mission, or on its way down from it       wait; end after the longest time of its `Phase`
     is disarmed, and may have landed                    wait for the evidence; end after the same
     has reached the last item, where it holds           the next one may start
-    has returned, and circles or stands at its home     the next one may start
+    has returned, and holds, circles or stands at home  the next one may start, after `HOME_S`
     has landed and is disarmed, by its last item        the next one may start
     is in a mode that is not its mission's, came down   end: what comes next is a person's decision
     before its last item, has crashed or fallen, has
@@ -494,10 +509,14 @@ def next_turn(flown: Turn) -> TurnDecision:
         if flown.landed.landed:
             return TurnDecision("start", f"{flown.name} has landed")
         return _wait(flown)
-    if flown.complete and not flown.lands:
+    if flown.lands:
+        return _wait(flown)
+    if flown.returns:  # a PX4 reports a return as reached when it begins
+        if flown.at_home and flown.home_s >= HOME_S and (flown.ending or flown.complete):
+            return TurnDecision("start", f"{flown.name} has returned")
+        return _wait(flown)
+    if flown.complete:
         return TurnDecision("start", f"{flown.name} has flown its mission")
-    if flown.ending and flown.returns and flown.at_home and not flown.lands:
-        return TurnDecision("start", f"{flown.name} has returned")
     return _wait(flown)
 
 
@@ -511,9 +530,41 @@ def _wait(flown: Turn) -> TurnDecision:
     return TurnDecision("end", f"{flown.name}: {why}{missing}, for {longest_s:.0f} s")
 
 
+def is_at_home(vehicle: Vehicle, *, flying: bool) -> bool:
+    """True if it is where its returns end: within the circle about its home, or where it stays there. One that still
+    sinks to the height at which it holds does not stay."""
+    position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
+    if position is None or home is None or position["lat_deg"] is None:
+        return False
+    away_m = distance_m(position["lat_deg"], position["lon_deg"], home["lat_deg"], home["lon_deg"])
+    velocity_mps = position["vel_enu_mps"] if flying else position["vel_enu_mps"][:2]
+    stays = vehicle.abilities.circles or math.hypot(*velocity_mps) < STANDS_MPS
+    return stays and away_m <= vehicle.return_reach_m + AT_HOME_M
+
+
+class HomeWatch:
+    """How long one vehicle has been at its home without a break. To be asked some times a second."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+
+    def stays_s(self, vehicle: Vehicle, now: float, *, flying: bool) -> float:
+        """Since when it `is_at_home`, s; 0: it is not."""
+        if not is_at_home(vehicle, flying=flying):
+            self._since = None
+            return 0.0
+        if self._since is None:
+            self._since = now
+        return now - self._since
+
+
 def last_moving(items: Sequence[MissionItem]) -> int | None:
     """The number of the last item that moves the vehicle; None: none does."""
     return max((number for number, item in enumerate(items, FIRST_ITEM) if item.moves), default=None)
+
+
+STAYS_ARMED = (ReturnEnd.HOLDS, ReturnEnd.CIRCLES, ReturnEnd.STANDS, ReturnEnd.STANDS_DISARMED)
+"""Ends of a return after which it stays armed, or may."""
 
 
 def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnEnd.LANDS) -> bool:
@@ -523,7 +574,7 @@ def ends_on_ground(items: Sequence[MissionItem], return_end: ReturnEnd = ReturnE
     if last is None:
         return False
     if ends_with_return(items):
-        return return_end not in (ReturnEnd.CIRCLES, ReturnEnd.STANDS, ReturnEnd.STANDS_DISARMED)
+        return return_end not in STAYS_ARMED
     return items[last - FIRST_ITEM].command in ENDS_ON_GROUND
 
 

@@ -43,8 +43,7 @@ from skygcs.core.vehicle.offboard_entry import (
     moves_setpoints_on,
 )
 from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
-from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint
-from skygcs.core.vehicle.raw_source import RawSource
+from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, RawSource
 from skygcs.core.vehicle.reference_source import ReferenceSource
 from skygcs.core.vehicle.setpoint_generator import NOTHING, SetpointGenerator
 from skygcs.core.vehicle.steady_thrust import SteadyThrust

@@ -11,7 +11,7 @@ fails, or when control ends, `leave`.
 
 from __future__ import annotations
 
-from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits
+from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits, LossReach
 from skygcs.core.control.pi import within
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.vehicle_class import cannot_hover
@@ -19,7 +19,6 @@ from skygcs.core.vehicle import autopilot, orders
 from skygcs.core.vehicle.order_plan import ParamKnown, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks, sticks_of
-from skygcs.core.vehicle.way_out import LossReach
 from skygcs.errors import RefusedError
 
 THRUST_AS_THRUST = 1 << 3
@@ -73,6 +72,9 @@ PX4_LOSS_ACTS = {
     **{3: "returns", 4: "lands", 5: "holds", 6: "ends its flight (Terminate)", 7: "stops its motors (Disarm)"},
 }
 """Values of COM_OBL_RC_ACT (PX4 1.16, commander_params.c)."""
+
+FALLS = (6, 7)
+"""Those after which it falls."""
 
 NO_STICKS = {
     Sticks.ABSENT: "no sticks are seen",
@@ -221,6 +223,9 @@ def loss_note(vehicle: Vehicle, now: float) -> str | None:
             f"set FS_OPTIONS to {options & ~PILOT_GOES_ON}"
         )
     action = vehicle.param("COM_OBL_RC_ACT")
+    if vehicle.family == "px4" and action in FALLS:
+        does = PX4_LOSS_ACTS[int(action or 0)]
+        return f"its COM_OBL_RC_ACT is {action:g}: if the setpoints stop, it {does} and falls; set it to 5 (Hold)"
     if vehicle.family != "px4" or action not in BY_STICKS or sticks_of(vehicle, now) in SEEN_AT_ALL:
         return None
     return (

@@ -261,7 +261,8 @@ class Plan:
     ``emergency``: sent over every link, before anything else, also to vehicles that take no plain orders. For
     ``persist_s`` its steps are repeated until the vehicle shows their effect or refuses. ``final``: no newer order
     replaces it. ``despite_duplicate``: safe, or confirmed, for two vehicles with one system id. ``force``: somebody
-    insists on what the outgoing gate would refuse.
+    insists on what the outgoing gate would refuse. ``spares``: modes in which the vehicle is not, or no longer, sent
+    this.
     """
 
     order: str
@@ -272,4 +273,5 @@ class Plan:
     final: bool = False
     despite_duplicate: bool = False
     force: bool = False
+    spares: frozenset[str] = frozenset()
     data: Mapping[str, Any] = field(default_factory=dict)

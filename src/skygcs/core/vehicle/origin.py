@@ -77,7 +77,7 @@ def require_near(origin: Origin, vehicles: Iterable[Vehicle]) -> None:
             near = (position["lat_deg"], position["lon_deg"])
             hint = swapped_hint(origin.lat_deg, origin.lon_deg, near, REACH_M)
             raise RefusedError(
-                f"that is {away_m / 1000:.0f} km from {vehicle.name}, and the frame is of use within "
+                f"that is {away_m / 1000:.0f} km from {vehicle.name}, and the frame is usable within "
                 f"{REACH_M / 1000:g} km{hint}; {orders.FORCE_HINT}"
             )
 

@@ -170,6 +170,7 @@ def position_target(
     _require_known(family)
     if family == "ardupilot" and acc_enu_mps2 is not None:
         raise RefusedError("ArduPilot ignores an acceleration beside a global position")
+    # a place on earth
     lat_deg, lon_deg, alt_amsl_m = place.lat_deg, place.lon_deg, place.alt_amsl_m
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):  # also false for NaN
         raise RefusedError(
@@ -178,6 +179,7 @@ def position_target(
     lat_int, lon_int = round(lat_deg * 1e7), round(lon_deg * 1e7)
     if lat_int == 0 or lon_int == 0:
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
+    # bounds, then the message
     alt_m = _within("an altitude", alt_amsl_m, MAX_ALTITUDE_M)
     vel = None if vel_enu_mps is None else _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
     acc = None if acc_enu_mps2 is None else _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)

@@ -23,12 +23,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from typing import NamedTuple
 
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.vehicle_class import VehicleClass, abilities_of, class_type
+from skygcs.core.vehicle.flight_evidence import is_being_armed
 from skygcs.core.vehicle.order_plan import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
+from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks, VehicleModel, model_of
 
 
 class Without(StrEnum):
@@ -96,6 +98,32 @@ def needs_sticks(model: VehicleModel, vehicle: Vehicle, name: str) -> bool:
     except KeyError:
         return False
     return without_sticks(model, number) is not None
+
+
+class Hands(NamedTuple):
+    """Whose hands a vehicle is in: the mode, if that is flown by sticks, and whether it is armed or we arm it."""
+
+    stick_mode: str
+    """"": none that is flown by sticks."""
+    armed: bool
+
+
+def hands(vehicle: Vehicle, now: float) -> Hands:
+    """Return whose hands it is in now."""
+    by_sticks = vehicle.family != "generic" and without_sticks(model_of(vehicle, now), vehicle.custom_mode) is not None
+    return Hands(vehicle.mode if by_sticks else "", vehicle.armed or is_being_armed(vehicle, now))
+
+
+def taken_since(vehicle: Vehicle, now: float, before: Hands) -> str | None:
+    """Return why what began when the vehicle was in the hands ``before`` is left to its pilot, who has switched it to
+    another mode that is flown by sticks, or armed it in one, since. None: he has not. In failsafe, and without sticks
+    that are seen with the throttle up, its own failsafe has switched it, and it sinks."""
+    mode, armed = hands(vehicle, now).stick_mode, vehicle.armed
+    if not mode or (vehicle.failsafe and model_of(vehicle, now).sticks not in SEEN_AT_ALL):
+        return None
+    if mode != before.stick_mode:
+        return f"it was switched to {mode} since, which its pilot flies"
+    return f"it was armed in {mode} since, which its pilot flies" if armed and not before.armed else None
 
 
 def mode_name(model: VehicleModel, custom_mode: int) -> str:

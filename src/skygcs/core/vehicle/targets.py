@@ -6,13 +6,13 @@ With a component id behind a slash (``7/191``, ``alpha/191``, ``all/100``) it me
 
 from __future__ import annotations
 
-import difflib
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeVar
 
 from skygcs.errors import TargetError
+from skygcs.spelling import near_names
 
 MAX_PARTS = 1000
 """Longer lists are refused; a fleet has at most 250 vehicles."""
@@ -64,10 +64,13 @@ def name_problem(name: str) -> str | None:
     return None
 
 
-def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -> list[T]:
+def select(
+    expression: str | int | Sequence[str | int], vehicles: Iterable[T], unheard: Iterable[Targetable] = ()
+) -> list[T]:
     """The vehicles of an expression, each once, by system id. Raises TargetError with the unknown part and what exists.
 
-    A range selects the vehicles in it that exist and fails only if none does.
+    A range selects the vehicles in it that exist and fails only if none does. ``unheard``: vehicles that are expected
+    and cannot be selected; who names one of them does not mean another.
     """
     known = sorted(vehicles, key=lambda v: (v.sysid, v.compid))
     parts = parts_of(expression)
@@ -79,13 +82,22 @@ def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -
         found = [v for v in _named(whose, known) if compid in (None, v.compid)]
         if not found and compid is not None:
             raise TargetError(f"{part!r} is not a vehicle; components are targets of {FOR_COMPONENTS} only")
+        if not found and (silent := _named(whose, list(unheard))):
+            names = ", ".join(v.name for v in silent)
+            since = "since skygcs began or since it was forgotten"
+            raise TargetError(f"{part!r}: nothing was heard of {names} {since}, so no order reaches it")
         if not found:
             raise TargetError(f"no vehicle {part!r}; {_nearest(part, known)}there are: {_listing(known)}")
         chosen.update((v.sysid << 8 | v.compid, v) for v in found)
     return [chosen[key] for key in sorted(chosen)]
 
 
-def select_any(expression: str | int | Sequence[str | int], vehicles: Iterable[T], components: Iterable[T]) -> list[T]:
+def select_any(
+    expression: str | int | Sequence[str | int],
+    vehicles: Iterable[T],
+    components: Iterable[T],
+    unheard: Iterable[Targetable] = (),
+) -> list[T]:
     """`select` with components: a part with a component id may name one of ``components``, even without a vehicle.
 
     Raises TargetError.
@@ -95,7 +107,7 @@ def select_any(expression: str | int | Sequence[str | int], vehicles: Iterable[T
     for part in parts_of(expression):
         whose, compid = _split(part, known)
         if compid is None:
-            chosen.update((v.sysid << 8 | v.compid, v) for v in select(part, known))
+            chosen.update((v.sysid << 8 | v.compid, v) for v in select(part, known, unheard))
             continue
         sysids = {v.sysid for v in _named(whose, known)}
         if whose.isascii() and whose.isdigit():
@@ -151,7 +163,7 @@ def _named(part: str, known: list[T]) -> list[T]:
 def _nearest(part: str, known: Sequence[Targetable]) -> str:
     """A question for the name or group that is spelled most like this part; empty if none is."""
     names = {name for v in known for name in (v.name, *v.groups)}
-    found = difflib.get_close_matches(part, sorted(names), n=1)
+    found = near_names(part, sorted(names), n=1)
     return f"did you mean {found[0]!r}? " if found else ""
 
 

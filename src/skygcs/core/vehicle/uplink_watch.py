@@ -8,6 +8,7 @@ sent quickly until one is answered, or until so many in a row were not answered 
     in doubt       armed every 0.2 s, on a radio every 0.35 s or half a round trip; disarmed every 1 s, on a radio 2 s
     crowded        never more than `PROBE_SHARE` of the vehicle's share of a radio, in doubt `DOUBT_SHARE`
     dead           after N probes without an answer, with p^N below FALSE_RUN: 5 to 18 probes
+    silent         when nothing comes for twice the longest of its last gaps: probes of a silence do not count
 
 p, the share of unanswered probes, is measured over the last 50 of them, beginning with 0.2. A run of N
 begins with a base probe, at most 7,200 an hour: with p known exactly 7,200 * 2e-7 is one false alarm in 700 hours of
@@ -48,6 +49,9 @@ FEWEST, MOST = 5, 18
 PROBES_KEPT = 50
 """Number of probes over which p is measured."""
 
+GAPS_KEPT, GAPS = 50, 2.0
+"""A vehicle is silent when nothing has come for so many times the longest of its last gaps between frames."""
+
 FIRST_TRIP_S, LONGEST_TRIP_S = 0.4, 1.5
 TRIPS = 1.5
 """A probe is overdue after this many round trips."""
@@ -79,6 +83,11 @@ class UplinkWatch:
         self._waiting: dict[int, float] = {}
         self._number = first & 0xFFFF
         self._outcomes: deque[bool] = deque(maxlen=PROBES_KEPT)
+        self._frame_at = -math.inf
+        self._gap_s = 0.0
+        """Longest time since its last frame at which a probe was sent."""
+        self._gaps_s: deque[float] = deque(maxlen=GAPS_KEPT)
+        """The same of the frames before."""
 
     def due(self, now: float, *, armed: bool, share_bytes_per_s: float = math.inf) -> bool:
         """True if a probe is to be sent now; ``share_bytes_per_s``: what a slow link leaves this vehicle."""
@@ -92,8 +101,14 @@ class UplinkWatch:
         self._number = self._number + 1 & 0xFFFF
         return TOKEN_BASE | self._number
 
-    def sent(self, token: int, now: float) -> None:
-        """The probe was handed to a link."""
+    def sent(self, token: int, now: float, last_frame_at: float) -> None:
+        """The probe was handed to a link. That a vehicle which is silent does not answer says nothing of its uplink:
+        the probes since its last frame do not count."""
+        self._measure_gap(now, last_frame_at)
+        if self._is_silent(now, last_frame_at):
+            self._drop_since(last_frame_at)
+            self._sent_at = now
+            return
         if not self.unanswered:
             self._in_doubt_since = now
             self._needed = self._run_length()
@@ -131,16 +146,37 @@ class UplinkWatch:
             return None
         if sum(at >= since and now - at >= self.answer_timeout_s for at in self._waiting.values()) < self._needed:
             return None
-        if last_frame_at < since or now - last_frame_at > LOST_S + self.answer_timeout_s:
+        if last_frame_at < since or self._is_silent(now, last_frame_at):
             return None
         self.lost = True
         return "lost"
+
+    def _measure_gap(self, now: float, last_frame_at: float) -> None:
+        if last_frame_at != self._frame_at:
+            if self._frame_at > -math.inf:
+                self._gaps_s.append(self._gap_s)
+            self._frame_at = last_frame_at
+        self._gap_s = max(0.0, now - last_frame_at)
+
+    def _is_silent(self, now: float, last_frame_at: float) -> bool:
+        """True if nothing comes for longer than its telemetry explains, which may be sparse or lose frames."""
+        rhythm_s = GAPS * max(self._gaps_s, default=0.0)
+        return now - last_frame_at > max(LOST_S + self.answer_timeout_s, rhythm_s)
+
+    def _drop_since(self, last_frame_at: float) -> None:
+        kept = {token: at for token, at in self._waiting.items() if at <= last_frame_at}
+        self.unanswered = max(0, self.unanswered - (len(self._waiting) - len(kept)))
+        self._waiting = kept
+        if not self.unanswered:
+            self._in_doubt_since = None
 
     def forget(self) -> None:
         """It rebooted or is lost: earlier answers do not count."""
         self.lost, self.unanswered, self.answered_at = False, 0, None
         self._in_doubt_since = None
         self._waiting.clear()
+        self._gaps_s.clear()
+        self._gap_s = 0.0
 
     def moved(self) -> None:
         """Another link is used: earlier answers do not count. Its uplink is dead until the vehicle answers over it, if

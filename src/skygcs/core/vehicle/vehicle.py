@@ -100,6 +100,8 @@ class Vehicle:
     """The ArduPilot program of its banner; None: no banner has come, or it is not ArduPilot."""
     duplicate_beside = False
     """Two vehicles send with these ids on one channel: this state mixes both."""
+    arming_at = arming_until = -math.inf
+    """When an arming of ours was last sent, and until when it may be armed by that before a heartbeat shows it."""
     _vtol_state = 0
 
     def __init__(
@@ -197,6 +199,10 @@ class Vehicle:
         is heard."""
         for frame, at in frames:
             self.on_frame(frame, at)
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Count as lost, without an event, until it is heard."""
         self.connected = False
         self._lost_at = self._heard_at
 

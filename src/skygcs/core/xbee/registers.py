@@ -58,7 +58,7 @@ def parse_setting(name: str, text: str) -> bytes:
     Numbers are decimal or 0x…; BD is a rate; NI is text; KY is hexadecimal.
     """
     if len(name) != 2 or not name.isalnum() or not name.isascii():
-        raise ValueError(f"{name!r} is no setting: AT registers have two letters")
+        raise ValueError(f"{name!r} is not a setting: AT registers have two letters")
     if name in READ_ONLY:
         raise ValueError(f"{name} ({MEANING[name]}) can only be read")
     if name == "NI":
@@ -72,7 +72,7 @@ def parse_setting(name: str, text: str) -> bytes:
     try:
         number = int(text, 16) if text.lower().startswith("0x") else int(text)
     except ValueError:
-        raise ValueError(f"{name}: {text!r} is no number (decimal, or 0x…)") from None
+        raise ValueError(f"{name}: {text!r} is not a number (decimal, or 0x…)") from None
     if not 0 <= number < 1 << 64:
         raise ValueError(f"{name}: {text} is not 0 to 2^64 - 1")
     if name == "BD":

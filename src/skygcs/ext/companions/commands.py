@@ -58,9 +58,9 @@ class Ssh:
     identity: Annotated[
         Path | None, typer.Option("--identity", metavar="FILE", help="SSH private key, besides agent and usual keys.")
     ] = None
-    at_once: Annotated[int, typer.Option("--at-once", metavar="N", min=1, max=64, help="So many at the same time.")] = (
-        AT_ONCE
-    )
+    at_once: Annotated[
+        int, typer.Option("--at-once", metavar="N", min=1, max=64, help="How many at the same time.")
+    ] = AT_ONCE
     timeout_s: Annotated[
         float | None, typer.Option("--timeout", metavar="S", min=0.1, max=86400, help="For each companion.")
     ] = None
@@ -462,7 +462,7 @@ def logs(
     ssh: Ssh,
     targets: AllCompanions = "all",
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Print new lines, too, until Ctrl-C.")] = False,
-    lines: Annotated[int, typer.Option("--lines", "-n", metavar="N", min=0, max=100000, help="So many of each.")] = 20,
+    lines: Annotated[int, typer.Option("--lines", "-n", metavar="N", min=0, max=100000, help="How many of each.")] = 20,
 ) -> None:
     """Print the newest lines of the services' logs, each with its companion's name.
 

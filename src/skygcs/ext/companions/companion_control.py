@@ -31,6 +31,7 @@ from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
+from skygcs.core.vehicle.stick_modes import hands, taken_since
 from skygcs.core.vehicle.trajectory_flight import (
     LoadedTrajectory,
     StartTube,
@@ -43,7 +44,7 @@ from skygcs.events import Event
 from skygcs.ext.companions import wire
 from skygcs.ext.companions.mirrored_control import REPORTS_SILENT_S, MirroredClock, MirroredControl, MirroredTracking
 from skygcs.ext.companions.relayed_order import RelayedOrder, unknown
-from skygcs.runtime.offboard_engagement import law_json, offboard_config
+from skygcs.runtime.control_tuning import law_json, offboard_config
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_services import VehicleServices
 
@@ -80,6 +81,10 @@ MAX_PREPARED = 64
 
 RUN = secrets.token_hex(4)
 """Names this run of the ground's daemon to its companions: another one begins with new numbers."""
+
+NUMBERS = itertools.count(1)
+"""Numbers of all orders and setpoints of this run. A vehicle that is forgotten and found again goes on with them: its
+companion takes a smaller number for a repeat of what it has done."""
 
 Json = dict[str, Any]
 
@@ -137,7 +142,7 @@ class CompanionControl:
         # orders to the companion
         self._ground = RUN
         self._own = services.own
-        self._numbers = itertools.count(1)
+        self._numbers = NUMBERS
         self._prepared: OrderedDict[LoadedTrajectory, str] = OrderedDict()
         """Trajectories that the companion has, and their keys there."""
         self._orders_of_entry = 0
@@ -386,7 +391,7 @@ class CompanionControl:
     async def settled(self) -> None:
         """Nothing has to be undone here."""
 
-    def close(self) -> None:
+    def close(self, reason: str) -> None:
         """The ground's daemon ends: the companion goes on, until it finds the ground lost."""
         self._tasks.close()
 
@@ -522,10 +527,14 @@ class CompanionControl:
             self._orders_of_entry -= order == "engage"
 
     async def _asked(self, relayed: RelayedOrder, params: Json, began: float) -> Outcome:
-        """Ask with the same number until there is an answer, or patience is over."""
-        why = "no answer came"
+        """Ask with the same number until there is an answer, or patience is over. Whether it has begun control is still
+        asked once a pilot has the vehicle, but not that it begins: its deadline is over then."""
+        why, taken = "no answer came", None
+        were_in = hands(self._vehicle, began)
         while True:
             now = self._loop.time()
+            if params["order"] == "engage" and (taken := taken or taken_since(self._vehicle, now, were_in)) is not None:
+                params = {**params, "until_s": self._there(began)}
             wait_s = relayed.wait_s(now, self._round_trip_s)
             if wait_s is None:
                 return unknown(why, now - began)
@@ -546,7 +555,8 @@ class CompanionControl:
             except RpcError as error:
                 return Outcome.refused(f"its companion: {error}")
             self._take(answer.get("report") or {}, self._loop.time())
-            return _outcome(answer.get("outcome"), self._loop.time() - began)
+            outcome = _outcome(answer.get("outcome"), self._loop.time() - began)
+            return Outcome.refused(taken) if taken is not None and outcome.result == "refused" else outcome
 
     # -- a stream of setpoints
 

@@ -17,7 +17,7 @@ from skygcs.core.clock_offset import ClockComparison, ClockOffset
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError, SkygcsError
 from skygcs.events import Event
 from skygcs.links.supervisor import BackOff
-from skygcs.runtime.loop_clock import exact_clock
+from skygcs.runtime.loop_clock import PAUSED, exact_clock
 
 JsonObject = dict[str, Any]
 LinkState = Literal["connecting", "up", "down"]
@@ -72,7 +72,9 @@ class CompanionLink:
         dial: Dial,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
+        asleep: Callable[[], bool] = lambda: False,
     ) -> None:
+        """``asleep``: `SleepWatch.check`."""
         self.name = name
         self.vehicle = vehicle
         # status
@@ -91,6 +93,9 @@ class CompanionLink:
         self._loop = loop
         self._on_event = on_event
         self._client: CompanionClient | None = None
+        self._asleep = asleep
+        self._woken: asyncio.Future[str] = loop.create_future()
+        """Done, with the reason, once what this connection still brings may be of before a sleep or a standstill."""
         self._calls = 0
         self._answered_at = float("-inf")
         self._now = exact_clock(loop)
@@ -172,6 +177,11 @@ class CompanionLink:
             },
         }
 
+    def woke(self, why: str) -> None:
+        """After a sleep or a standstill: what has waited in the connection does not count, and it is made anew."""
+        if self._client is not None and not self._woken.done():
+            self._woken.set_result(why)
+
     # -- keeping it connected
 
     async def run(self) -> None:
@@ -218,6 +228,7 @@ class CompanionLink:
                     self._pass_on(client.telemetry(rate_hz=STATE_RATE_HZ, groups=STATE_GROUPS), self._state_observers),
                 ),
                 ("clock", self._read_clock(client)),
+                ("watch", self._until_woken()),
             )
         ]
         try:
@@ -231,9 +242,21 @@ class CompanionLink:
 
     async def _pass_on(self, source: AsyncIterator[JsonObject], observers: list[Observer]) -> None:
         async for item in source:
+            self._require_awake()
             self._answered_at = self._loop.time()
             for observer in tuple(observers):
                 observer(item)
+
+    async def _until_woken(self) -> None:
+        await asyncio.shield(self._woken)
+        self._require_awake()
+
+    def _require_awake(self) -> None:
+        """Raises LinkError if what has come may be of before a sleep or a standstill."""
+        if self._asleep():
+            self.woke(PAUSED)
+        if self._woken.done():
+            raise LinkError(f"{self._woken.result()}: what has waited does not count, it is connected anew")
 
     async def _read_clock(self, client: CompanionClient) -> None:
         while True:
@@ -268,6 +291,7 @@ class CompanionLink:
             raise
         finally:
             self._calls -= 1
+        self._require_awake()
         self._answered_at = self._loop.time()
         return result
 
@@ -275,6 +299,7 @@ class CompanionLink:
 
     def _came_up(self, client: CompanionClient, info: JsonObject) -> None:
         self._client = client
+        self._woken = self._loop.create_future()
         self._clock = ClockComparison()
         self._answered_at = self._loop.time()
         self.version = str(info.get("version"))[:32]

@@ -24,12 +24,14 @@ class CompanionLinks:
         dial_to: DialTo,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
+        asleep: Callable[[], bool] = lambda: False,
     ) -> None:
+        """``asleep``: `SleepWatch.check`."""
         self._links: dict[str, CompanionLink] = {}
         for name, entry in companions.entries.items():
             if entry.rpc is not None:
                 dial = dial_to(name, *host_and_port(entry.rpc))
-                self._links[name] = CompanionLink(name, companions.vehicle_of(name), dial, loop, on_event)
+                self._links[name] = CompanionLink(name, companions.vehicle_of(name), dial, loop, on_event, asleep)
 
     def get(self, name: str) -> CompanionLink | None:
         """The connection to this companion; None if the fleet file gives it no `rpc`."""
@@ -48,6 +50,11 @@ class CompanionLinks:
         async with asyncio.TaskGroup() as group:
             for link in self._links.values():
                 group.create_task(link.run(), name=f"companion {link.name}")
+
+    def woke(self, why: str) -> None:
+        """See `CompanionLink.woke`."""
+        for link in self._links.values():
+            link.woke(why)
 
     def status(self) -> list[dict[str, Any]]:
         """JSON-able, in the order of the fleet file."""

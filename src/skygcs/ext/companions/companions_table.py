@@ -88,7 +88,7 @@ def companions_problems(companions: CompanionsConfig, fleet: FleetConfig) -> lis
         if vehicle not in vehicles:
             known = ", ".join(sorted(vehicles)) or "none"
             at = path if entry.vehicle is None else (*path, "vehicle")
-            problems.append(Problem(at, f"{vehicle!r} is no vehicle of this file; vehicles: {known}"))
+            problems.append(Problem(at, f"{vehicle!r} is not a vehicle of this file; vehicles: {known}"))
         elif vehicle in owner:
             problems.append(Problem(path, f"is on vehicle {vehicle}, which has the companion {owner[vehicle]} already"))
         owner.setdefault(vehicle, name)

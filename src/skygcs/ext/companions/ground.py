@@ -38,7 +38,8 @@ class Companions(Extension[CompanionsConfig]):
     def __init__(self, core: Services, config: CompanionsConfig) -> None:
         super().__init__(core, config)
         publish = core.event_log.publish
-        self.links = CompanionLinks(config, self._dial_to, asyncio.get_running_loop(), publish)
+        sleep = core.fleet.sleep
+        self.links = CompanionLinks(config, self._dial_to, asyncio.get_running_loop(), publish, sleep.check)
         self.by_vehicle: dict[str, CompanionCalls] = {**self.links.by_vehicle()}
         """The connections, by the vehicle that the companion is on."""
         self._announcement: GroundAnnouncement | None = None
@@ -73,6 +74,9 @@ class Companions(Extension[CompanionsConfig]):
             if self._announcement is not None:
                 announcing = repeated(self._announcement.run, self.core.hub.fault)  # its fault ends no connection
                 group.create_task(announcing, name="ground announcement")
+
+    def woke(self, why: str) -> None:
+        self.links.woke(why)
 
     def status(self) -> dict[str, Any]:
         """JSON-able, for companions.status."""

@@ -68,7 +68,7 @@ def _pin(args: argparse.Namespace) -> int:
     from skygcs.ext.companions.identity import pin
 
     if args.name is not None and (not args.name.isascii() or not args.name.replace("-", "").replace("_", "").isalnum()):
-        raise SkygcsError(f"{args.name!r} is no companion's name: letters, digits, - and _ only")
+        raise SkygcsError(f"{args.name!r} is not a companion's name: letters, digits, - and _ only")
     target = args.dir / "ground.crt" if args.name is None else args.dir / "companions" / f"{args.name}.crt"
     ours = (args.dir / "ground.key").exists()
     if args.name is None and ours:

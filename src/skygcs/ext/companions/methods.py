@@ -73,7 +73,7 @@ class CompanionsStatus(Result):
     companions: list[CompanionState]
     announced: str | None = Field(description="What mDNS announces of this ground station.")
     problem: str | None = Field(description="Why it announces nothing.")
-    companion: OwnState | None = Field(description="null: this daemon is no companion.")
+    companion: OwnState | None = Field(description="null: this daemon is not a companion.")
 
 
 def companions_status(context: Context, _: NoParams) -> JsonObject:

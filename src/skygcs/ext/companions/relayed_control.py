@@ -94,6 +94,7 @@ METHODS: tuple[Method[Context], ...] = (
         (error_codes.REFUSED,),
         outlives_client=True,
         always=True,
+        reach="nothing",  # the ground counts it, and each is another one: `GroundOrders` knows repeats by their numbers
     ),
     Method("companion.setpoint", RelayedSetpointParams, companion_setpoint, RelayedAnswer, (error_codes.REFUSED,)),
 )

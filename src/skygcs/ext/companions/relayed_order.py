@@ -4,6 +4,7 @@
     --------   -------------------------------------------------------   --------   ----------------------------------
     asking     the companion answers                                     answered   its outcome counts
     asking     no answer in time, or the connection broke                asking     asked again, with the same number
+    asking     a pilot took the vehicle that it is to engage             asking     asked with a deadline that is over
     asking     the companion has restarted since                         unknown    nothing: its book is lost
     asking     patience is over                                          unknown    nothing
     any        a newer order replaced it on the ground                   unknown    nothing

@@ -15,7 +15,7 @@ def companion_problems(companion: CompanionConfig, config: FleetConfig) -> list[
     problems: list[Problem] = []
     if companion.vehicle not in config.vehicles:
         known = ", ".join(config.vehicles) or "none"
-        text = f"{companion.vehicle!r} is no vehicle of this file, which must have [vehicles.{companion.vehicle}] "
+        text = f"{companion.vehicle!r} is not a vehicle of this file, which must have [vehicles.{companion.vehicle}] "
         problems.append(Problem(("companion", "vehicle"), f"{text}with its sysid; vehicles: {known}"))
     for name in config.vehicles:
         if name != companion.vehicle:

@@ -132,18 +132,18 @@ def read_certificate(path: Path) -> bytes:
 
     try:
         if path.stat().st_size > MAX_PEM_BYTES:
-            raise LinkError(f"{path} is no certificate: it has more than {MAX_PEM_BYTES} bytes")
+            raise LinkError(f"{path} is not a certificate: it has more than {MAX_PEM_BYTES} bytes")
         text = path.read_text(encoding="ascii")
     except OSError as error:
         raise LinkError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise LinkError(f"{path} is no certificate in PEM format") from None
+        raise LinkError(f"{path} is not a certificate in PEM format") from None
     if text.count("-----BEGIN CERTIFICATE-----") != 1 or "PRIVATE KEY" in text:
         raise LinkError(f"{path} must hold one certificate in PEM format and nothing else")
     try:
         return ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERTIFICATE-----") :].strip())
     except ValueError:
-        raise LinkError(f"{path} is no certificate in PEM format") from None
+        raise LinkError(f"{path} is not a certificate in PEM format") from None
 
 
 def fingerprint(path: Path) -> str:
@@ -158,7 +158,7 @@ def fingerprint_text(sha256: bytes) -> str:
 
 def _require(path: Path, remedy: str) -> None:
     try:
-        readable = path.is_file() and os.access(path, os.R_OK)
+        readable = os.path.isfile(path) and os.access(path, os.R_OK)
     except OSError as error:
         raise LinkError(f"{path}: {error.strerror}") from None
     if not readable:

@@ -170,7 +170,7 @@ def _number(values: Mapping[str, Any], key: str) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:  # or NaN
-        raise RefusedError(f"{key} is no number of at most {LARGEST_NUMBER:g}")
+        raise RefusedError(f"{key} is not a number of at most {LARGEST_NUMBER:g}")
     return float(value)
 
 

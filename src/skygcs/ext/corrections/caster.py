@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from skygcs.config.files import open_regular
+from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import LinkError
 from skygcs.ext.corrections.config import CorrectionsConfig
 from skygcs.ext.corrections.gga import GgaPosition, gga_sentence
@@ -28,6 +29,11 @@ ANSWER_S = 10.0
 """From the request to the first byte of the stream, or to the end of its table of mountpoints."""
 
 READ_BYTES = 4096
+BYTES_PER_S, BURST_BYTES = 100_000.0, 1_000_000.0
+"""It is read from no faster on the average: a network station of all constellations at 10 Hz sends 30 kB/s, and each
+kilobyte takes 0.1 to 0.3 ms of the loop. TCP holds up a caster that floods; its stream then ages, as it would in a
+radio."""
+
 BUFFER_BYTES = 16384
 """asyncio stops reading when it holds twice as many."""
 
@@ -107,6 +113,7 @@ class CasterSource:
         answer = NtripAnswer(self._mountpoint, with_password=bool(password))
         due = heard = begun
         streams = False
+        flow = TokenBucket(BYTES_PER_S, BURST_BYTES, begun)
         while True:
             # until its answer, the next byte or the next position that is due
             now = self._clock()
@@ -122,12 +129,15 @@ class CasterSource:
                 continue
             content = answer.feed(data)
             heard = self._clock()
+            flow.spend(len(data), heard)
             if answer.state == "stream" and not streams:
                 streams = True
                 self.revision = answer.revision
                 feeder.connected()
             if content:
                 feeder.take(content)
+            # bytes that wait already are read without a pause in which the loop does something else
+            await asyncio.sleep(max(flow.ready_at(0.0, heard) - heard, 0.0))
 
     async def _read(self, reader: asyncio.StreamReader, wait_s: float) -> bytes | None:
         """The next bytes; None: nothing within that time; b"": the end."""
@@ -161,7 +171,7 @@ class CasterSource:
     def _send_gga(self, writer: asyncio.StreamWriter) -> bool:
         """True if there was a place to send. Raises LinkError if the caster takes nothing."""
         if writer.transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
-            raise LinkError("the caster takes no positions: its connection is stuck")
+            raise LinkError("the caster accepts no positions: its connection is stuck")
         sentence = self._next_gga()
         if sentence:
             writer.write(sentence)
@@ -221,7 +231,7 @@ def read_password(config: CorrectionsConfig) -> str:
 def _why(error: OSError | UnicodeError, host: str, port: int, *, tls: bool) -> str:
     """Why a connection failed, and what to do."""
     if isinstance(error, UnicodeError):
-        return f"{host} is no name of a computer"
+        return f"{host} is not the name of a computer"
     if tls:
         import ssl
 

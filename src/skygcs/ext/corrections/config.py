@@ -129,7 +129,7 @@ def corrections_problems(config: CorrectionsConfig, fleet: FleetConfig) -> list[
     problems = []
     if config.gga_from is not None and config.gga_from not in fleet.vehicles:
         names = ", ".join(sorted(fleet.vehicles)) or "none"
-        text = f'"{config.gga_from}" is no vehicle of this file; vehicles: {names}'
+        text = f'"{config.gga_from}" is not a vehicle of this file; vehicles: {names}'
         problems.append(Problem(("corrections", "gga_from"), text))
     for name, link in fleet.links.items():
         if config.serial is not None and getattr(link, "device", None) == config.serial:

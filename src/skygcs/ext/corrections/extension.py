@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.tables import Problem
@@ -34,7 +33,7 @@ class OwnCorrections(Extension[CorrectionsConfig]):
         super().__init__(core, config)
         self._receiver = None if config.serial is None else ReceiverSource(config, core.now)
         source = self._receiver or CasterSource(config, self._place, core.now)
-        self.feeder = Feeder(source, core.corrections, core.now, core.event_log.publish)
+        self.feeder = Feeder(source, core.corrections, core.now, core.event_log.publish, core.fleet.sleep.check)
         core.corrections.own_source = self.feeder.status
 
     @classmethod
@@ -44,10 +43,12 @@ class OwnCorrections(Extension[CorrectionsConfig]):
     @classmethod
     def notes(cls, config: Any) -> list[str]:
         files = (("password_file", config.password_file), ("ca_file", config.ca_file))
-        notes = [f"the file {path} ({key}) does not exist now" for key, path in files if path and not path.is_file()]
+        notes = [
+            f"the file {path} ({key}) does not exist now" for key, path in files if path and not os.path.isfile(path)
+        ]
         if config.password_env is not None and not os.environ.get(config.password_env):
             notes.append(f"the environment variable {config.password_env} (password_env) is not set now")
-        if config.serial is not None and not Path(config.serial).exists():
+        if config.serial is not None and not os.path.exists(config.serial):
             notes.append(f"the device {config.serial} (serial) is not there now")
         return notes
 
@@ -64,6 +65,9 @@ class OwnCorrections(Extension[CorrectionsConfig]):
     async def run(self) -> None:
         """Keep the source going."""
         await self.feeder.run()
+
+    def woke(self, why: str) -> None:
+        self.feeder.woke(why)
 
     def restart_survey(self) -> dict[str, Any]:
         """Begin the survey anew; the status of the source. Raises RefusedError."""

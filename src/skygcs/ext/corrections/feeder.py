@@ -21,6 +21,7 @@ from skygcs.events import Event
 from skygcs.ext.corrections.ntrip import RefusedByCaster
 from skygcs.links.supervisor import BackOff
 from skygcs.runtime.correction_feed import RATE_S, CorrectionFeed
+from skygcs.runtime.loop_clock import PAUSED
 
 FIRST_BACK_OFF_S = 1.0
 LONGEST_BACK_OFF_S = 30.0
@@ -63,8 +64,14 @@ class Feeder:
     """One source's life and counts. ``since`` is the time of its state; ``text`` the latest trouble, "" without one."""
 
     def __init__(
-        self, source: Source, feed: CorrectionFeed, clock: Callable[[], float], publish: Callable[[Event], None]
+        self,
+        source: Source,
+        feed: CorrectionFeed,
+        clock: Callable[[], float],
+        publish: Callable[[Event], None],
+        asleep: Callable[[], bool] = lambda: False,
     ) -> None:
+        """``asleep``: `SleepWatch.check`."""
         self.source = source
         self.state: FeederState = "connecting"
         self.since = clock()
@@ -84,6 +91,9 @@ class Feeder:
         self._sending = False
         """The feed has taken a piece of this connection."""
         self._told_down = False
+        self._asleep = asleep
+        self._woke: str | None = None
+        """Why what this connection still brings is of before a sleep or a standstill; None: it is not."""
 
     async def run(self) -> None:
         """Until cancelled. Nothing that a source does ends it."""
@@ -101,9 +111,19 @@ class Feeder:
         self.connected_count += 1
         self._enter("waiting")
 
+    def woke(self, why: str) -> None:
+        """After a sleep or a standstill: the connection ends with the next bytes that it brings, unread, and is made
+        anew. A caster's backlog and a port's buffer may be of hours ago, and RTCM does not say when it was made."""
+        if self.state in ("waiting", "streaming", "held_off"):
+            self._woke = why
+
     def take(self, data: bytes) -> None:
         """Bytes of the source: RTCM 3 in any pieces. Raises LinkError if there is no message in them for
-        `NO_MESSAGE_S`."""
+        `NO_MESSAGE_S`, and if they may be of before a sleep or a standstill."""
+        if self._asleep() and self._woke is None:
+            self._woke = PAUSED
+        if self._woke is not None:
+            raise LinkError(f"{self._woke}: what has waited is not sent, it is connected anew")
         now = self._clock()
         self._bytes += len(data)
         self._pieces.append((now, len(data)))
@@ -164,7 +184,7 @@ class Feeder:
 
     async def _one_life(self, back_off: BackOff) -> tuple[str, float]:
         """Connect and wait for the end; its reason, and how long to pause."""
-        refused = False
+        refused, self._woke = False, None
         try:
             await self.source.run(self)
             reason = "it ended"

@@ -140,7 +140,7 @@ class NtripAnswer:
         end = self._held.find(b"\n", 0, MAX_STATUS_BYTES)
         if end < 0:
             if not _is_text(self._held[:4]) or len(self._held) >= MAX_STATUS_BYTES:
-                raise RefusedByCaster("it sends data without an answer: this address is no NTRIP caster")
+                raise RefusedByCaster("it sends data without an answer: this address is not an NTRIP caster")
             return b""
         line = self._held[:end].strip()
         rest, self._held = self._held, b""
@@ -156,7 +156,7 @@ class NtripAnswer:
         elif upper.startswith((b"ERROR", b"ICY", b"SOURCETABLE")):
             raise self._error_of_revision_1(line)
         else:
-            raise RefusedByCaster(f"it answers {_shown(line)}: this address is no NTRIP caster")
+            raise RefusedByCaster(f"it answers {_shown(line)}: this address is not an NTRIP caster")
         return rest[end + 1 :]
 
     def _error_of_revision_1(self, line: bytes) -> RefusedByCaster:
@@ -209,7 +209,7 @@ class NtripAnswer:
             place = _shown(fields.get(b"location", b"another address"))
             return RefusedByCaster(f"the stream is at {place} now ({code.decode()}): write that address in ntrip")
         if code[:1] == b"5":
-            return LinkError(f"the caster has trouble of its own ({_shown(status)})")
+            return LinkError(f"the caster reports an internal error ({_shown(status)})")
         return RefusedByCaster(f"it answers {_shown(status)}")
 
     def _unauthorized(self) -> RefusedByCaster:

@@ -107,7 +107,7 @@ class ReceiverSource:
         except OSError as error:
             raise LinkError(f"{(error.strerror or str(error)).lower()}; unplugged?") from None
         if written < len(data):
-            raise LinkError("the port takes nothing: is another program stopping it, or the cable broken?")
+            raise LinkError("the port accepts no data: does another program hold it, or is the cable broken?")
 
     def report_place(self, feeder: Feeder) -> None:
         """Publish an event when the receiver is further with its position."""

@@ -103,7 +103,7 @@ def value_bytes(key: int) -> int:
     """How many bytes the value of a setting has. Raises ValueError for a number that is no key."""
     size = _SIZE_CODES.get(key >> 28 & 0x07)
     if size is None:
-        raise ValueError(f"0x{key:08x} is no key of a setting")
+        raise ValueError(f"0x{key:08x} is not a key of a setting")
     return size
 
 

@@ -47,7 +47,7 @@ def begin(
 def end(
     targets: Targets,
     fault: Annotated[
-        Fault | None, typer.Argument(metavar="[FAULT]", help="Default: all that last.", show_default=False)
+        Fault | None, typer.Argument(metavar="[FAULT]", help="Default: all active ones.", show_default=False)
     ] = None,
     json_output: OrderJson = None,
 ) -> None:
@@ -60,7 +60,7 @@ def end(
 
 @app.command("status")
 def status(json_output: Json = False) -> None:
-    """Show the faults that last.
+    """Show the active faults.
 
     Example: skygcs-cli drill status
     """

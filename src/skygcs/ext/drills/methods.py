@@ -23,7 +23,7 @@ class DrillBeginParams(TargetsParams):
 
 
 class DrillEndParams(TargetsParams):
-    fault: FaultName | None = Field(None, description="null: all that last in it.")
+    fault: FaultName | None = Field(None, description="null: all active ones.")
 
 
 class DrillFault(Result):
@@ -54,7 +54,7 @@ class DrillsStatus(Result):
 
 
 async def drills_begin(context: Context, params: DrillBeginParams) -> JsonObject:
-    """Begin a fault in simulated vehicles, until it is ended; one that lasts gets the new value.
+    """Begin a fault in simulated vehicles, until it is ended; an active one gets the new value.
 
     Only vehicles on links of type simulated can have one: it is put into their models, and nothing is sent.
     """
@@ -69,7 +69,7 @@ async def drills_end(context: Context, params: DrillEndParams) -> JsonObject:
 
 
 def drills_status(context: Context, _: NoParams) -> JsonObject:
-    """Faults that can be begun, vehicles that may have them, and those that last."""
+    """Faults that can be begun, vehicles that may have them, and the active ones."""
     status: dict[str, Any] = context.services.extensions["drills"].status()
     return status
 

@@ -126,7 +126,7 @@ def outcome(
 ) -> None:
     """Ask what became of an order whose outcome is unknown. Exit 0: it was carried out.
 
-    One that has not come to its site until now is refused if it comes later.
+    One that has not reached its site by now is refused if it arrives later.
 
     Example: skygcs-cli federation outcome south/9c6af8408d0890231e0ad1171ed7a477
     """

@@ -57,7 +57,7 @@ def server_address(text: str) -> ServerAddress:
     except ValueError as error:
         raise ValueError(f'"{text}": {error}') from None
     if parts.scheme not in ("tls", "nats") or not host or parts.path.strip("/") or parts.query or parts.fragment:
-        raise ValueError(f'"{text}" is no address of a hub: write tls://HOST:PORT')
+        raise ValueError(f'"{text}" is not an address of a hub: write tls://HOST:PORT')
     if parts.username is not None:
         raise ValueError(f'"{parts.scheme}://…@{host}": a hub knows this station by its key (federation.nkey) alone')
     address = ServerAddress(parts.scheme == "tls", host, DEFAULT_HUB_PORT if port is None else port)
@@ -144,7 +144,7 @@ def federation_problems(federation: FederationConfig, vehicles: Collection[str])
     for name in federation.vehicles:
         if name not in vehicles:
             known = ", ".join(sorted(vehicles)) or "none"
-            problems.append(Problem((*at, name), f"is no vehicle of this file; vehicles: {known}"))
+            problems.append(Problem((*at, name), f"is not a vehicle of this file; vehicles: {known}"))
     if federation.role == "site":
         text = (
             "is part of the hub's subjects: letters of ASCII, digits and _ only, at most 64 (there is a [federation])"

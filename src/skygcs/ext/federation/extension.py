@@ -20,7 +20,7 @@ from skygcs.ext.federation import methods
 from skygcs.ext.federation.authority import Authority
 from skygcs.ext.federation.config import FederationConfig, federation_problems, is_loopback, server_address
 from skygcs.ext.federation.server_program import find_server, server_version, version_warning
-from skygcs.extension import Extension
+from skygcs.process_extension import ProcessExtension
 from skygcs.runtime.supervised_child import SupervisedChild
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ PACKAGES = ("nats", "nkeys")
 """Modules of the extra of this name."""
 
 
-class Federation(Extension[FederationConfig]):
+class Federation(ProcessExtension[FederationConfig]):
     """Gates the shared vehicles, and keeps the process running."""
 
     Config = FederationConfig
@@ -50,8 +50,7 @@ class Federation(Extension[FederationConfig]):
         """Names this run of the daemon to the process."""
         line, more = federation_arguments(core.source, core.socket_path), _station(config, core.socket_path)
         loop, publish = asyncio.get_running_loop(), core.event_log.publish
-        self._child = SupervisedChild("the bridge to other stations", "federation", line, loop, publish, more=more)
-        self._answers = asyncio.Event()
+        self.child = SupervisedChild("the bridge to other stations", "federation", line, loop, publish, more=more)
 
     # -- its table
 
@@ -67,7 +66,7 @@ class Federation(Extension[FederationConfig]):
         notes = [f"{', '.join(missing)} is not installed here: pip install 'skygcs[federation]'"] if missing else []
         for key in ("nkey", "ca", "cert", "key"):
             path = getattr(config, key)
-            if path is not None and not path.is_file():
+            if path is not None and not os.path.isfile(path):
                 notes.append(f"the file {path} ({key}) does not exist now")
         if any(is_loopback(server_address(server).host) for server in config.servers):
             notes += _server_notes()
@@ -101,23 +100,6 @@ class Federation(Extension[FederationConfig]):
 
     def send_gate(self) -> SendGate | None:
         return self.authority
-
-    def info(self) -> dict[str, Any]:
-        return self._child.status()
-
-    # -- its life
-
-    async def start(self) -> None:
-        """The socket answers."""
-        self._answers.set()
-
-    async def run(self) -> None:
-        """Keep the process running."""
-        await self._answers.wait()
-        await self._child.run()
-
-    def close(self) -> None:
-        self._child.close()
 
 
 def _authority(config: FederationConfig, fleet: FleetConfig) -> Authority | None:

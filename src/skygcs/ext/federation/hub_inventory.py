@@ -101,7 +101,9 @@ class HubInventory(Model):
             for site in user.orders:
                 if site != ANY_SITE and site not in self.sites:
                     known = ", ".join(self.sites) or "none"
-                    raise ValueError(f'users.{name}.orders names "{site}", which is no user of role site here: {known}')
+                    raise ValueError(
+                        f'users.{name}.orders names "{site}", which is not a user of role site here: {known}'
+                    )
         return self
 
     @property
@@ -175,7 +177,9 @@ def _problem(error: ErrorDetails, lines: dict[KeyPath, int]) -> str:
         case "missing":
             message = "is missing"
         case "string_pattern_mismatch" if path[-1:] == ("nkey",):
-            message = "is no public key: 56 letters and digits that begin with U, as `skygcs federation keys` prints it"
+            message = (
+                "is not a public key: 56 letters and digits that begin with U, as `skygcs federation keys` prints it"
+            )
         case "string_pattern_mismatch":
             message = "must be a small letter and up to 15 small letters, digits or -"
     line = line_of(path, lines)

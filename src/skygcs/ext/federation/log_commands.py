@@ -48,7 +48,7 @@ def logs(
         bool, typer.Option("--parquet", help="Also write the tables of each recording, as `tlog csv --parquet`.")
     ] = False,
 ) -> None:
-    """Collect the tlogs of sites into DIR/SITE/. Begun again, it goes on where it ended; each file is checked.
+    """Collect the tlogs of sites into DIR/SITE/. Run again, it resumes; each file is checked.
 
     Exit 0: all that the sites have is here.
 

@@ -61,7 +61,7 @@ def move(
     ] = None,
     speed: Annotated[float | None, typer.Option("--speed", metavar="MPS", help="To the place.", parser=finite)] = None,
     seconds: Annotated[
-        float, typer.Option("--for", metavar="S", help="A velocity ends by itself after so long.", parser=finite)
+        float, typer.Option("--for", metavar="S", help="A velocity ends by itself after S seconds.", parser=finite)
     ] = 10.0,
     json_output: Json = False,
 ) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from skygcs.config.tables import Problem
+from skygcs.core.control.braking import fence_ahead
 from skygcs.core.geo import EnuFrame, Origin, world_from_enu
 from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.monitor.conflict_levels import HORIZON_S
@@ -17,7 +18,6 @@ from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
 from skygcs.core.plan.straight_flight import assigned
 from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
-from skygcs.core.vehicle.way_out import fence_ahead
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.ext.formation.config import FormationConfig, formation_problems
@@ -122,7 +122,7 @@ class Formation(Extension[FormationConfig]):
             stops = self._stops
             await self._take_control(actors)
             if self._stops != stops:
-                raise RefusedError("it was stopped while it was being begun; vehicles under control hold")
+                raise RefusedError("it was stopped during its start; vehicles under control hold")
             self._begin(actors, lead, wanted)
         finally:
             self._beginning = False

@@ -33,9 +33,7 @@ class FormationStartParams(TargetsParams):
     heading_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         None, description="Where it looks, counter-clockwise from the frame's x axis; null: along it."
     )
-    leader: str | None = Field(
-        None, description="The vehicle that leads, which is no target; null: a virtual point, for formation.move."
-    )
+    leader: str | None = Field(None, description="The vehicle that leads, which is no target; null: a virtual point.")
     at_enu_m: Place | None = Field(None, description="Where its middle is to be; null: where the vehicles are.")
 
 
@@ -50,7 +48,7 @@ class FormationMoveParams(MethodParams):
         None, description="To a place; null: speed_mps of [formation], which is also the most."
     )
     valid_s: Annotated[float, Field(ge=0.1, le=LONGEST_FLY_S)] = Field(
-        10.0, description="A velocity ends by itself after so long; a joystick sends it again and again."
+        10.0, description="A velocity ends by itself after so long."
     )
 
     @model_validator(mode="after")
@@ -84,7 +82,7 @@ class FormationGuideParams(MethodParams):
 
     places: dict[str, GuidedPlace] = Field(max_length=300, description="By vehicle; members without one stay.")
     valid_s: Annotated[float, Field(ge=0.1, le=LONGEST_FLY_S)] = Field(
-        1.0, description="Without newer ones all stay where they are then, about a leader that stands."
+        1.0, description="Without newer ones all stay where they are after this."
     )
 
 
@@ -120,8 +118,7 @@ class FormationStatus(Result):
 
 
 def formation_guide(context: Context, params: FormationGuideParams) -> JsonObject:
-    """Fly members to places of the caller's own, again and again: a flock, a game, a planner. The filter keeps them
-    apart, whatever places are given."""
+    """Fly members to places of the caller's own, again and again; the filter keeps them apart."""
     places = {name: Moving(vector(place.pos_enu_m), vector(place.vel_enu_mps)) for name, place in params.places.items()}
     return shown(_keeper(context).guide(places, params.valid_s))
 
@@ -129,7 +126,7 @@ def formation_guide(context: Context, params: FormationGuideParams) -> JsonObjec
 async def formation_start(context: Context, params: FormationStartParams) -> JsonObject:
     """Fly several vehicles as a formation about a leader: a virtual point, or a vehicle.
 
-    Vehicles that are not under control are taken under position control first. A filter keeps every two of them apart
+    Vehicles that are not under control are taken under position control first. A filter keeps every two apart
     (docs/howto/formation.md); a formation of the same vehicles that flies already is given new places.
     """
     heading = None if params.heading_deg is None else math.radians(params.heading_deg)
@@ -150,7 +147,7 @@ def formation_move(context: Context, params: FormationMoveParams) -> JsonObject:
 
 
 def formation_turn(context: Context, params: FormationTurnParams) -> JsonObject:
-    """Turn the formation about its leader, no faster than the outermost member can fly."""
+    """Turn the formation about its leader, as fast as the outermost member can fly."""
     return shown(_keeper(context).turn(math.radians(params.heading_deg)))
 
 
@@ -165,7 +162,7 @@ def formation_stop(context: Context, params: NoParams) -> JsonObject:
 
 
 def formation_status(context: Context, params: NoParams) -> JsonObject:
-    """The formation: its leader, how far each member is from its place, and the least distance of two."""
+    """The formation: its leader, how far each member is from its place, and the least distance."""
     return shown(_keeper(context).status())
 
 

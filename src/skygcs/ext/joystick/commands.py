@@ -56,7 +56,7 @@ def joystick(
     button: Annotated[int, typer.Option("--button", help="The dead-man button: flown only while it is held.")] = 5,
     axes: Annotated[
         str,
-        typer.Option("--axes", metavar="FORWARD,LEFT,UP,YAW", help="Numbers of the axes; -4: turned round."),
+        typer.Option("--axes", metavar="FORWARD,LEFT,UP,YAW", help="Numbers of the axes; -4: inverted."),
     ] = "-4,-3,-1,-0",
     engage: Annotated[
         bool, typer.Option("--engage", help="Pressing the button takes the vehicle under velocity control.")
@@ -66,7 +66,9 @@ def joystick(
     yaw_rate: Annotated[
         float, typer.Option("--yaw-rate", metavar="DPS", help="At full stick, degrees/s.", parser=finite)
     ] = 45.0,
-    dead_zone: Annotated[float, typer.Option("--dead-zone", help="Of the stick's way, 0 to 0.5.", parser=finite)] = 0.1,
+    dead_zone: Annotated[
+        float, typer.Option("--dead-zone", help="Share of the stick's travel, 0 to 0.5.", parser=finite)
+    ] = 0.1,
     expo: Annotated[float, typer.Option("--expo", help="0: linear, 1: finest middle.", parser=finite)] = 0.3,
     fleet_frame: Annotated[
         bool, typer.Option("--fleet-frame", help="Forward is the fleet's x axis, not the vehicle's nose.")

@@ -320,7 +320,7 @@ def _play(
         str, typer.Argument(metavar="[HOST:]PORT", help="Destination, over UDP; without HOST this machine.")
     ] = "14550",
     speed: Annotated[
-        float, typer.Option("--speed", metavar="X", parser=finite, help="Times as fast; 0: at once.")
+        float, typer.Option("--speed", metavar="X", parser=finite, help="Factor; 0: as fast as possible.")
     ] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
     everything: Annotated[
@@ -491,7 +491,7 @@ def sources(text: str, names: dict[str, int]) -> frozenset[SourceFilter]:
             found |= {(sysid, None) for sysid in range(_id(span[1]), _id(span[2]) + 1)}
         else:
             known = f"; the fleet file has {', '.join(sorted(names))}" if names else "; names need --fleet FILE"
-            raise typer.BadParameter(f"--vehicle: {part!r} is no system id{known}")
+            raise typer.BadParameter(f"--vehicle: {part!r} is not a system id{known}")
     return frozenset(found)
 
 
@@ -520,7 +520,7 @@ def names_of(fleet: Path | None) -> dict[str, int]:
 
 def _id(text: str) -> int:
     if int(text) > 255:
-        raise typer.BadParameter(f"--vehicle: {text} is no id: they go up to 255")
+        raise typer.BadParameter(f"--vehicle: {text} is not an id: they go up to 255")
     return int(text)
 
 

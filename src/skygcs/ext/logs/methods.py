@@ -58,7 +58,7 @@ async def recordings_end(context: Context, _: NoParams) -> JsonObject:
 
 
 METHODS: tuple[Method[Context], ...] = (
-    Method("recordings.list", NoParams, recordings_list, RecordingsList),
-    Method("recordings.replay", ReplayParams, recordings_replay, ReplayPage),
-    Method("recordings.end", NoParams, recordings_end, ReplayEnded),
+    Method("recordings.list", NoParams, recordings_list, RecordingsList, reach="nothing"),
+    Method("recordings.replay", ReplayParams, recordings_replay, ReplayPage, reach="nothing"),
+    Method("recordings.end", NoParams, recordings_end, ReplayEnded, reach="nothing"),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import os
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ class Metrics(Extension[MetricsConfig]):
         notes = []
         if find_spec("prometheus_client") is None:
             notes.append("prometheus_client is not installed here: pip install 'skygcs[metrics]'")
-        if config.token_file is not None and not config.token_file.is_file():
+        if config.token_file is not None and not os.path.isfile(config.token_file):
             notes.append(f"the file {config.token_file} (token_file) does not exist now")
         return notes
 

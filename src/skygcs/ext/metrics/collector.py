@@ -196,9 +196,9 @@ class MetricsCollector:
         hub.flows.take()
         for verdict, count in hub.router.counters.items():
             samples.put("skygcs_router_frames_total", count, verdict.value)
-        samples.put("skygcs_router_routes", sum(1 for _ in hub.router.routes()))
-        samples.put("skygcs_router_routes_refused_total", hub.router.refused_routes)
-        samples.put("skygcs_router_routes_evicted_total", hub.router.evicted_routes)
+        samples.put("skygcs_router_routes", sum(1 for _ in hub.router.table.routes()))
+        samples.put("skygcs_router_routes_refused_total", hub.router.table.room.refused)
+        samples.put("skygcs_router_routes_evicted_total", hub.router.table.room.evicted)
 
     def _read_links(self, samples: Samples) -> Iterator[bytes]:
         services, put = self._services, samples.put

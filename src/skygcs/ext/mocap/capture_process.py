@@ -152,7 +152,7 @@ class CaptureProcess:
                 line = await process.stdout.readline()
             except ValueError:  # longer than any line: it writes something else
                 self.bad_lines += 1
-                self._why_killed = "its process writes what is no line of poses"
+                self._why_killed = "its process writes a line that is not poses"
                 return False
             if not line:
                 return True

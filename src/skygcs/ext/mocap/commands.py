@@ -79,7 +79,7 @@ def record(
     body: Annotated[
         list[str] | None, typer.Option("--body", metavar="NAME", help="Only this rigid body; may be given again.")
     ] = None,
-    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after so long.")] = None,
+    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after S seconds.")] = None,
 ) -> None:
     """Record frames of a motion capture system, without a daemon; Ctrl-C ends the recording.
 

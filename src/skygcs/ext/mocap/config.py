@@ -104,7 +104,7 @@ def mocap_problems(mocap: MocapConfig, fleet: FleetConfig) -> list[Problem]:
     for vehicle, body in mocap.bodies.items():
         if vehicle not in fleet.vehicles:
             known = ", ".join(sorted(fleet.vehicles)) or "none"
-            problems.append(Problem((*at, vehicle), f"is no vehicle of this file; vehicles: {known}"))
+            problems.append(Problem((*at, vehicle), f"is not a vehicle of this file; vehicles: {known}"))
         if body in owner:
             problems.append(Problem((*at, vehicle), f'rigid body "{body}" is that of {owner[body]} already'))
         owner.setdefault(body, vehicle)

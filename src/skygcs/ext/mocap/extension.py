@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -41,7 +42,7 @@ class Mocap(Extension[MocapConfig]):
     def notes(cls, config: Any) -> list[str]:
         if config.type in SYSTEMS and find_spec("motioncapture") is None:
             return ["motioncapture is not installed here: pip install 'skygcs[mocap]'"]
-        if config.file is not None and not config.file.is_file():
+        if config.file is not None and not os.path.isfile(config.file):
             return [f"the recording {config.file} (file) does not exist now"]
         return []
 

@@ -270,7 +270,7 @@ class MocapFeed:
     def _actor_of(self, fed: _Fed) -> VehicleActor | None:
         """The autopilot with this system id and the lowest component id; while one flies, that one."""
         if fed.actor is not None and self._fleet.may_fly(fed.actor.vehicle.key):
-            return fed.actor
+            return self._fleet.vehicles[fed.actor.vehicle.key]  # after a standstill another one than before
         found = [actor for key, actor in self._fleet.vehicles.items() if key >> 8 == fed.sysid]
         return min(found, key=lambda actor: actor.compid, default=None)
 

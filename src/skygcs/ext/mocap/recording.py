@@ -100,7 +100,9 @@ def frames_of(lines: Iterable[bytes]) -> Iterable[CaptureFrameData]:
         if isinstance(frame, CaptureState):
             continue
         if frame is None:
-            raise ValueError(f'line {number} is no frame of poses: {{"t": seconds, "bodies": {{"name": [7 numbers]}}}}')
+            raise ValueError(
+                f'line {number} is not a frame of poses: {{"t": seconds, "bodies": {{"name": [7 numbers]}}}}'
+            )
         if frame.at < before:
             raise ValueError(f"line {number}: its time {frame.at:g} is before that of the frame above")
         before = frame.at

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.errors import PlanFileError
 from skygcs.ext.plans import planning_methods
+from skygcs.ext.plans.flight.flight_steps import starts_of
 from skygcs.ext.plans.flight_check import FlightRequest
 from skygcs.ext.plans.plan_uploads import MAX_PART_CHARS
 from skygcs.ext.plans.planning_methods import one_plan, plans_of
@@ -22,7 +23,7 @@ SpeedFactor = Annotated[float, Field(ge=MIN_SPEED_FACTOR, le=MAX_SPEED_FACTOR)]
 
 class PlanUploadParams(MethodParams):
     part: Annotated[str, Field(min_length=1, max_length=MAX_PART_CHARS)] = Field(
-        description="The next part of the text of a plan's JSON file, of any length up to 400,000 characters."
+        description="The next part of the text of a plan's JSON file, at most 400,000 characters."
     )
     upload: int | None = Field(None, description="What the first part answered; null: this is the first.")
 
@@ -42,7 +43,7 @@ class PlanLoadParams(MethodParams):
         "plan", description="For people: in texts and status."
     )
     upload: int | None = Field(
-        None, description="Or the number of one that plan.upload took in parts; it is used up by that."
+        None, description="Or the number of one that plan.upload took in parts, used up by that."
     )
 
     @model_validator(mode="after")
@@ -61,13 +62,13 @@ class PlanFlightParams(MethodParams):
     margin_m: Annotated[float, Field(gt=0, le=1000)] | None = Field(
         None, description="The margin of each pair, in place of its terms."
     )
-    force: bool = Field(False, description="Although checks refuse it that can be insisted on.")
+    force: bool = Field(False, description="Although it is refused by checks that force can override.")
     by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
-        description="goto: an order for each leg, flown by the autopilot itself (phased plans); setpoints: a stream; "
-        "onboard: by companions, or as missions where no vehicle has one; mission: each has its whole way on board, "
-        "and flies it without the ground (phased plans that need no barriers). auto: setpoints where every link "
-        "carries them, else goto; the report says why.",
+        description="goto: an order for each leg (phased plans). setpoints: a stream. onboard: by companions, or "
+        "as missions if no vehicle has one. mission: flown without the ground (phased plans without "
+        "barriers). auto: onboard if all have a companion, else setpoints if every link carries them,"
+        " else goto for a phased plan.",
     )
 
 
@@ -82,7 +83,7 @@ class PlanSpeedParams(MethodParams):
 
 
 class PlanForceParams(MethodParams):
-    force: bool = Field(False, description="Without what a certificate asks for; the text says what that is.")
+    force: bool = Field(False, description="Without what a certificate asks for.")
 
 
 class LoadedPlan(Result):
@@ -154,7 +155,7 @@ class PlanStatus(Result):
 
 
 def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
-    """Take a plan in parts, as a request has at most 1 MiB; it is not read before plan.load or plan.certify.
+    """Take a plan in parts, for plan.load or plan.certify; a request has at most 1 MiB.
 
     Four at a time, of all clients; one without a further part for a minute is dropped.
     """
@@ -182,7 +183,7 @@ async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
     """Everything that is looked at before the plan is flown; nothing moves.
 
     Preflight, positions, batteries, return heights, links, limits, and the certificates of the way to the starts and of
-    the plan, with what is measured now. Vehicles that take no part are obstacles where they were measured.
+    the plan. Vehicles that take no part are obstacles where they were measured.
     """
     return await plans_of(context.services).runner.check(_request(params))
 
@@ -190,8 +191,7 @@ async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
 async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
     """Check the plan, and fly it if the check passes: arm, take off in layers, fly to the starts, begin together.
 
-    Answered when vehicles begin to arm; it is the daemon's from then on: the client may leave. See plan.status, the
-    topic "plan" and events of kind plan.
+    Answered when vehicles begin to arm; the daemon flies it from then on, also without the client.
     """
     started, report = await plans_of(context.services).runner.run(
         _request(params), set_return_heights=params.set_return_heights
@@ -207,9 +207,9 @@ def plan_pause(context: Context, _: NoParams) -> JsonObject:
 async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
     """Go on after a pause or a stop.
 
-    Where all are at their places the clock goes on. Else a way back from where they are measured and the rest are
-    certified anew: not ok names the pair. Vehicles that landed are out of it; force also passes silent ones and those
-    flown by their pilots, where they were measured.
+    Where all are at their places the clock goes on. Else a way back and the rest are certified anew: not ok names the
+    pair. Vehicles that landed are out of it; force also passes silent ones and those flown by their pilots, where they
+    were measured.
     """
     ok, message, reasons = await plans_of(context.services).runner.resume(force=params.force)
     return {"ok": ok, "message": message, "reasons": reasons}
@@ -244,6 +244,16 @@ def _request(params: PlanFlightParams) -> FlightRequest:
     )
 
 
+def _flown(context: Context, params: PlanFlightParams | PlanForceParams) -> list[Target]:
+    """The vehicles that a check or a flight goes to: those that are named, else those of the flight, or of the plan."""
+    runner = plans_of(context.services).runner
+    if isinstance(params, PlanForceParams):
+        return [] if runner.flight is None else list(runner.flight.actors)
+    if params.vehicles is not None:
+        return list(params.vehicles.values())
+    return [] if runner.kept is None else list(starts_of(runner.kept.plan))
+
+
 def _done(message: str) -> JsonObject:
     return {"ok": True, "message": message, "reasons": []}
 
@@ -253,11 +263,13 @@ _BOTH = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("plan.upload", PlanUploadParams, plan_upload, PlanUploaded, _REFUSED),
-    Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED, unique_keys=True),
-    Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH, unique_keys=True),
-    Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH, unique_keys=True),
+    Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED, unique_keys=True, reach="nothing"),
+    Method(
+        "plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH, unique_keys=True, reach="fleet", reached=_flown
+    ),
+    Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH, unique_keys=True, reach="fleet", reached=_flown),
     Method("plan.pause", NoParams, plan_pause, PlanOrderAnswer, _REFUSED, always=True),
-    Method("plan.resume", PlanForceParams, plan_resume, PlanOrderAnswer, _REFUSED),
+    Method("plan.resume", PlanForceParams, plan_resume, PlanOrderAnswer, _REFUSED, reach="fleet", reached=_flown),
     Method("plan.speed", PlanSpeedParams, plan_speed, PlanOrderAnswer, _REFUSED),
     Method("plan.abort", NoParams, plan_abort, PlanOrderAnswer, _REFUSED, always=True),
     Method("plan.land", PlanForceParams, plan_land, PlanOrderAnswer, _REFUSED, always=True),

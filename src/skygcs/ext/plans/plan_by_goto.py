@@ -86,16 +86,20 @@ class GotoGuidance:
                 return Outcome.refused(f"{why}: it is not sent to its start")
             return await self._goto(flight, name, flight.execution.step.starts()[name])
 
-        return await self._until_heard(flight, sent)
+        return await self._until_heard(flight, name, sent)
 
-    async def _until_heard(self, flight: PlanFlight, order: Callable[[], Awaitable[Outcome]]) -> Outcome:
-        """The outcome of an order of the engagement; one that was not heard is given again, as that of a leg is."""
-        until = self._loop.time() + LEG_S
+    async def _until_heard(self, flight: PlanFlight, name: str, order: Callable[[], Awaitable[Outcome]]) -> Outcome:
+        """The outcome of an order of the engagement; one that was not heard is given again, as that of a leg is, unless
+        somebody has switched the vehicle meanwhile."""
+        vehicle, until = flight.actors[name].vehicle, self._loop.time() + LEG_S
+        expected = {vehicle.mode} | self._modes(flight, name)
         while True:
             outcome = await order()
             if outcome.ok or not _unheard(outcome):
                 return outcome
             await asyncio.sleep(AGAIN_S)
+            if vehicle.mode not in expected:
+                return Outcome.refused(f"it was switched to {vehicle.mode} before it was sent anywhere")
             if flight.execution.state is not PlanState.ENGAGING or self._loop.time() >= until:
                 return outcome
 
@@ -228,7 +232,7 @@ class MissionGuidance(GotoGuidance):
                 name, actor, onboard_orders.upload_plan(actor, plan=mission, kinds=(MissionType.MISSION,))
             )
 
-        return await self._until_heard(flight, sent)
+        return await self._until_heard(flight, name, sent)
 
     def _goals(self, flight: PlanFlight) -> dict[str, Vector]:
         """Also of those that stay where they are: on a mission their firmware takes no notice of a lost ground."""

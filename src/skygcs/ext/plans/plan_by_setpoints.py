@@ -81,7 +81,10 @@ class SetpointGuidance:
         if (why := flight.why_displaced(name, self._loop.time())) is not None:
             return Outcome.refused(f"{why}: it is not sent to its start")
         lat_deg, lon_deg, alt_m = flight.frame.to_geodetic(*flight.execution.step.starts()[name])
-        return await actor.offboard.fly_to(GeodeticPosition(lat_deg, lon_deg, alt_m), None)
+        outcome = await actor.offboard.fly_to(GeodeticPosition(lat_deg, lon_deg, alt_m), None)
+        if outcome.ok:
+            actor.runner.note_effect()
+        return outcome
 
     def fly(self, flight: PlanFlight) -> str | None:
         """Start the step under way on one clock."""

@@ -28,7 +28,7 @@ from skygcs.ext.plans.flight.flight_steps import FlightStep
 from skygcs.ext.plans.flight.guidance import Guidance
 from skygcs.ext.plans.flight.plan_states import Order, OrderKind, PlanState
 from skygcs.ext.plans.flight.sights import Departure, DepartureCause, Measurement
-from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.task_set import OWN, TaskSet, carrying_out
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 KIND = "plan"
@@ -104,6 +104,9 @@ class FlightGuidance(Protocol):
     def end(self, flight: PlanFlight) -> None:
         """Stop all for good."""
         ...
+
+
+FORGOTTEN = "it was forgotten, and no order reaches it any more"
 
 
 class PlanFlight:
@@ -197,7 +200,7 @@ class PlanFlight:
         actor = self.actors[name]
         vehicle = actor.vehicle
         if not self.known(actor):
-            return Departure(DepartureCause.LOST, "it was forgotten, and no order reaches it any more")
+            return Departure(DepartureCause.LOST, FORGOTTEN)
         if not vehicle.connected and not (self.guidance.by is Guidance.MISSION and name in self.engaged):
             return Departure(DepartureCause.LOST, f"it is lost: no heartbeat for {vehicle.silence_s(now) or 0.0:.0f} s")
         if name not in self.engaged:
@@ -207,7 +210,10 @@ class PlanFlight:
     def _taken_before(self, name: str, actor: VehicleActor, now: float) -> Departure | None:
         """Why a vehicle that flies and waits to be taken under control is not ours to take: its mode has changed."""
         mode = self.unexpected_mode(name)
-        if mode is None or mode == self.lock.member(name).mode or actor.vehicle.in_air(now) is False:
+        if mode is None or actor.vehicle.in_air(now) is False:
+            return None
+        # it may be flown by its pilot until it is taken; one that took off for this plan has left his mode before
+        if name not in self.execution.grounded and mode == self.lock.member(name).mode:
             return None
         return Departure(DepartureCause.PILOT, f"it was switched to {mode} before it was under control")
 
@@ -248,7 +254,8 @@ class PlanFlight:
 
 
 class FlightOrders:
-    """Gives the orders of a flight, and reports what changes."""
+    """Gives the orders of a flight, and reports what changes. ``serial``: of the last order of a person to the plan,
+    which its own orders carry out: an order of a person since then makes them void, and never the other way round."""
 
     def __init__(
         self,
@@ -262,6 +269,7 @@ class FlightOrders:
         self._on_change = on_change
         self._certify_landing = certify_landing
         self._tasks = TaskSet(loop, on_event)
+        self.serial = OWN
 
     def tick(self, flight: PlanFlight) -> None:
         """Look at the vehicles, and do what follows."""
@@ -279,7 +287,7 @@ class FlightOrders:
 
     def start(self, work: Coroutine[Any, Any, None], name: str) -> None:
         """Begin an order as a task of its own."""
-        self._tasks.start(work, name)
+        self._tasks.start(work, name, self.serial)
 
     def close(self) -> None:
         """Cancel what is under way."""
@@ -292,7 +300,9 @@ class FlightOrders:
     def _give(self, flight: PlanFlight, order: Order) -> None:
         match order.kind:
             case OrderKind.FLY:
-                if (why := flight.guidance.fly(flight)) is not None:
+                with carrying_out(self.serial):
+                    why = flight.guidance.fly(flight)
+                if why is not None:
                     self.carry_out(flight, flight.execution.start_failed(why))
             case OrderKind.CERTIFY_LANDING:
                 self.start(self._certified(flight), "certificate of a landing")
@@ -317,32 +327,38 @@ class FlightOrders:
                 raise
 
     async def _order(self, flight: PlanFlight, kind: OrderKind, name: str) -> None:
-        """One order to one vehicle, to its outcome."""
+        """One order to one vehicle, to its outcome. One that is to be taken is asked once more whose it is: its pilot
+        may have taken it since the last look, or in the seconds of a check."""
+        taken = kind in (OrderKind.TAKEOFF, OrderKind.ENGAGE)
+        if taken and (left := flight.left_of(name, self._loop.time())) is not None:
+            outcome = Outcome.refused(left.text)
+        else:
+            if taken:
+                flight.being_taken.add(name)
+            outcome = await self._ordered(flight, kind, name)
+            flight.being_taken.discard(name)
+        mode = flight.unexpected_mode(name)
+        message = outcome.message if flight.known(flight.actors[name]) else FORGOTTEN  # which ended what it was doing
+        self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, message, mode))
+
+    async def _ordered(self, flight: PlanFlight, kind: OrderKind, name: str) -> Outcome:
         actor = flight.actors[name]
-        if kind in (OrderKind.TAKEOFF, OrderKind.ENGAGE):
-            flight.being_taken.add(name)
         match kind:
             case OrderKind.MODE:
-                outcome = await self._to_takeoff_mode(actor)
+                return await self._to_takeoff_mode(actor)
             case OrderKind.ARM:
-                outcome = await actor.arm(wait_s=ARM_WAIT_S)
+                return await actor.arm(wait_s=ARM_WAIT_S)
             case OrderKind.DISARM:
-                outcome = await actor.disarm()
+                return await actor.disarm()
             case OrderKind.TAKEOFF:
-                outcome = await self._take_off(flight, name, actor)
+                return await self._take_off(flight, name, actor)
             case OrderKind.ENGAGE:
                 outcome = await flight.guidance.engage(flight, name, actor)
                 if outcome.ok:
                     flight.engaged.add(name)
-            case OrderKind.HOLD:
-                flight.engaged.discard(name)
-                outcome = await actor.hold()
-            case _:
-                flight.engaged.discard(name)
-                outcome = await actor.land()
-        flight.being_taken.discard(name)
-        mode = flight.unexpected_mode(name)
-        self.carry_out(flight, flight.execution.outcome(kind, name, outcome.ok, outcome.message, mode))
+                return outcome
+        flight.engaged.discard(name)
+        return await (actor.hold() if kind is OrderKind.HOLD else actor.land())
 
     async def _to_takeoff_mode(self, actor: VehicleActor) -> Outcome:
         """In which it arms: after a landing an ArduCopter is in LAND and a PX4 in AUTO.LAND, in which they do not."""

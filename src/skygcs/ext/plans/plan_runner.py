@@ -31,7 +31,7 @@ from skygcs.ext.plans.flight.flight_situation import Situation
 from skygcs.ext.plans.flight.flight_steps import FlightStep, from_where, plan_of, rest_of
 from skygcs.ext.plans.flight.guidance import Guidance
 from skygcs.ext.plans.flight.plan_states import PlanState
-from skygcs.ext.plans.flight.sights import DepartureCause, Measurement
+from skygcs.ext.plans.flight.sights import Departure, DepartureCause, Measurement
 from skygcs.ext.plans.flight_check import (
     Checked,
     ChosenWay,
@@ -51,12 +51,12 @@ from skygcs.ext.plans.plan_checks import (
     measure,
     stopped_text,
 )
-from skygcs.ext.plans.plan_flight import KIND, FlightGuidance, FlightOrders, FlightSettings, PlanFlight
+from skygcs.ext.plans.plan_flight import KIND, FlightGuidance, FlightOrders, FlightSettings, Loaded, PlanFlight
 from skygcs.ext.plans.plan_uploads import PlanUploads
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.separation_monitor import SeparationMonitor
-from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.task_set import TaskSet, ask
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -182,6 +182,7 @@ class PlanRunner:
         if self._ending:
             raise RefusedError("skygcs is shutting down")
         self._busy = "the check before a flight"
+        self._orders.serial = ask()  # here: what is ordered during the check is the later order
         try:
             await self._last_ended()
             checked = await self._check(request, set_return_heights=set_return_heights, held=True)
@@ -254,13 +255,17 @@ class PlanRunner:
     def pause(self) -> str:
         """Stop on the way. Raises RefusedError."""
         flight = self._flying()
-        self._orders.carry_out(flight, flight.execution.pause())
+        orders = flight.execution.pause()
+        self._orders.serial = ask()
+        self._orders.carry_out(flight, orders)
         return "stopping on the way"
 
     def abort(self) -> str:
         """Stop for good, then hold. Raises RefusedError."""
         flight = self._flying()
-        self._orders.carry_out(flight, flight.execution.abort())
+        orders = flight.execution.abort()
+        self._orders.serial = ask()
+        self._orders.carry_out(flight, orders)
         return "stopping for good, then holding"
 
     def land(self, *, force: bool = False) -> str:
@@ -268,6 +273,7 @@ class PlanRunner:
         flight = self._flying()
         orders = flight.execution.land()
         self._force_landing = force
+        self._orders.serial = ask()
         self._orders.carry_out(flight, orders)
         return "stopping, then landing"
 
@@ -280,9 +286,9 @@ class PlanRunner:
                 f"it was certified for {certified:g} times the planned speed: run it with --speed for more"
             )
         if flight.guidance.by is Guidance.GOTO:
-            raise RefusedError("by goto autopilots fly at their own speed: `skygcs-cli params set` changes that")
+            raise RefusedError("by goto autopilots fly at their own speed: `skygcs-cli param set` changes it")
         if flight.execution.over or not flight.guidance.set_speed(speed_factor):
-            raise RefusedError(f"the plan is {flight.execution.state}: it has no speed now")
+            raise RefusedError(f"the plan is {flight.execution.state}: its speed cannot be changed now")
         flight.settings = flight.settings._replace(speed_factor=speed_factor)
         self._changed()
         return f"flying at {speed_factor:g} times the planned speed"
@@ -301,7 +307,7 @@ class PlanRunner:
             self._busy = None
 
     async def _resume(self, flight: PlanFlight, *, force: bool) -> tuple[bool, str, list[str]]:
-        execution, now = flight.execution, self._loop.time()
+        execution, now, serial = flight.execution, self._loop.time(), ask()
         sights = flight.look(now)
         state, trajectory_s = flight.clock(now)
         in_place = not execution.left and not execution.away(trajectory_s, sights)
@@ -313,6 +319,7 @@ class PlanRunner:
             raise RefusedError("they are still stopping: wait a moment")
         # the rest of the plan, and the way back to it
         actors = [flight.actors[name] for name in staying]
+        departed, modes = _departed(execution, sights), {actor.name: actor.vehicle.mode for actor in actors}
         measured = measure(actors, self._fleet.everybody(), flight.frame, now)
         lacking = [f"{f.vehicle}: {f.text}" for f in refusals(measured.findings, force=force)]
         if lacking or len(measured.places) < len(actors):
@@ -320,6 +327,7 @@ class PlanRunner:
         if flight.guidance.by is Guidance.MISSION:
             if not in_place or execution.left:
                 return False, f"refused: {MISSION_LEFT}", [MISSION_LEFT]
+            self._orders.serial = serial
             self._orders.carry_out(flight, execution.go_on())
             return True, "going on with their missions", []
         rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
@@ -338,25 +346,36 @@ class PlanRunner:
             return False, f"refused: {prepared.problems[0]}", list(prepared.problems)
         if not in_place and (why := await self._relayed(actors, loaded)) is not None:
             return False, f"refused: {why}", [why]
+        # seconds have passed
         if self.flight is not flight or execution.state not in (PlanState.PAUSED, PlanState.STOPPED) or self._ending:
             raise RefusedError(f"the plan is {execution.state} by now")
+        if gone := sorted(_departed(execution, flight.look(self._loop.time())) - departed):
+            why = f"{', '.join(gone)} left while the certificate was made: resume it again from where they are"
+            return False, f"refused: {why}", [why]
         if in_place and not execution.left:
             flight.rule = situation.rule
+            self._orders.serial = serial
             self._orders.carry_out(flight, execution.go_on())
             return True, "going on: all are at their places", []
         # a new flight from here
-        flight.guidance.end(flight)
+        lock = flight.lock.of(frozenset(staying)).in_modes(modes)
         again = Execution(prepared.steps, (), prepared.tubes, prepared.steps[0].starts(), by=by)
-        lock = flight.lock.of(frozenset(staying))
-        guidance = self._guidance(flight.guidance.by)
-        flown, rule = {actor.name: actor for actor in actors}, situation.rule
-        later = PlanFlight(flight.settings, again, flown, loaded, lock, rule, guidance, self._knows)
-        self.flight = later
-        self._hold(lock)
-        later.look(self._loop.time())
-        self._orders.carry_out(later, again.begin())
+        self._orders.serial = serial
+        self._begin_again(flight, again, loaded, lock, situation.rule)
         without = f", without {', '.join(out)}" if out else ""
         return True, f"going back to their ways, then on{without}", []
+
+    def _begin_again(
+        self, flight: PlanFlight, execution: Execution, loaded: Sequence[Loaded], lock: FlightLock, rule: MarginRule
+    ) -> None:
+        """Let a flight begin that goes on with the rest of this one."""
+        flight.guidance.end(flight)
+        actors = {name: flight.actors[name] for name in execution.names}
+        guidance = self._guidance(flight.guidance.by)
+        self.flight = PlanFlight(flight.settings, execution, actors, loaded, lock, rule, guidance, self._knows)
+        self._hold(lock)
+        self.flight.look(self._loop.time())
+        self._orders.carry_out(self.flight, execution.begin())
 
     def _situation_of_rest(
         self, actors: Sequence[VehicleActor], measured: Measured, rest: Sequence[FlightStep], *, in_place: bool
@@ -379,16 +398,18 @@ class PlanRunner:
         """Find the rounds of a landing from where they are measured."""
         execution, now = flight.execution, self._loop.time()
         sights = flight.look(now)
-        others = {
-            name for name, left in execution.left.items() if left.why in (DepartureCause.PILOT, DepartureCause.LOST)
-        }
+        others = [
+            name
+            for name, left in execution.left.items()
+            if not sights[name].on_ground and (_out_of_reach(sights[name]) or _flown_by_pilot(sights[name], left))
+        ]
         # nobody flies, or a person insists: without a certificate
         flying = [name for name in execution.names if not sights[name].on_ground and name not in others]
         if not flying:
-            self._orders.carry_out(flight, execution.landing([]))
+            self._orders.carry_out(flight, execution.landing([], others))
             return
         if self._force_landing:
-            self._orders.carry_out(flight, execution.landing([flying]))
+            self._orders.carry_out(flight, execution.landing([flying], others))
             return
         # where everything is: places of what flies and stands, and the ground below
         actors = [flight.actors[name] for name in flying]
@@ -411,7 +432,7 @@ class PlanRunner:
             self._orders.carry_out(flight, execution.landing_refused([str(error), todo]))
             return
         if certificate.certified:
-            self._orders.carry_out(flight, execution.landing(rounds))
+            self._orders.carry_out(flight, execution.landing(rounds, others))
         else:
             reasons = [*certificate.reasons(), "move them apart, or `plan land --force` lands all at once"]
             self._orders.carry_out(flight, execution.landing_refused(reasons))
@@ -497,6 +518,22 @@ class PlanRunner:
         return self.flight is not None and not self.flight.execution.over
 
 
+def _out_of_reach(sight: Measurement) -> bool:
+    """True for one that no order reaches, as far as it is known: it was forgotten, or is silent."""
+    return sight.forgotten or sight.place_m is None or sight.age_s > POSITION_SILENT_S
+
+
+def _flown_by_pilot(sight: Measurement, left: Departure) -> bool:
+    """True for one that was taken out of our hands, unless its autopilot holds it by now: a failsafe ends so, too, and
+    leaves a vehicle that waits for an order until its battery is empty."""
+    return left.why is DepartureCause.PILOT and not sight.holds
+
+
+def _departed(execution: Execution, sights: Mapping[str, Measurement]) -> frozenset[str]:
+    """Names of the vehicles that do not follow."""
+    return frozenset(name for name in execution.names if sights[name].left is not None or name in execution.left)
+
+
 def _returning(
     execution: Execution, sights: Mapping[str, Measurement], *, force: bool
 ) -> tuple[list[str], list[str], list[str]]:
@@ -504,18 +541,17 @@ def _returning(
     staying, out, reasons = [], [], []
     for name in execution.names:
         sight, left = sights[name], sights[name].left or execution.left.get(name)
-        silent = sight.place_m is None or sight.age_s > POSITION_SILENT_S
         if sight.forgotten and not sight.on_ground:
             out.append(name)
             reasons.append(f"{name} was forgotten: abort, and run it again from where they are, or insist with force")
-        elif silent:
+        elif _out_of_reach(sight):
             out.append(name)
             reasons.append(f"{name} is silent: it may be anywhere; wait for it, or insist with force")
         elif left is None:
             staying.append(name)
         elif sight.on_ground:
             out.append(name)
-        elif left.why is DepartureCause.PILOT and not sight.holds:
+        elif _flown_by_pilot(sight, left):
             out.append(name)
             reasons.append(f"{name} is flown by its pilot: have it land or hold, or insist with force")
         elif sight.speed_mps > SLOW_MPS:

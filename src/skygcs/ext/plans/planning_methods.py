@@ -81,7 +81,7 @@ class FormationParams(MethodParams):
     yaw_deg: Annotated[float, Field(ge=-MAX_YAW_DEG, le=MAX_YAW_DEG)] = Field(
         0.0, description="A shape looks there, points are turned by it; counter-clockwise."
     )
-    scale: float = Field(1.0, description="Times all distances from the middle.")
+    scale: float = Field(1.0, description="Factor for all distances from the middle.")
     points_m: Annotated[list[Point], Field(max_length=MAX_VEHICLES)] = Field(
         [], description="Of the shape points: [x, y, up] for each vehicle, about any point."
     )
@@ -133,9 +133,7 @@ class CertifyParams(MethodParams):
     space: SpaceParams | None = Field(
         None, description="fence, floor_m, ceiling_m, boxes, standing; metres of the frame."
     )
-    others: bool = Field(
-        True, description="The fleet's vehicles that take no part are obstacles, where they were last heard."
-    )
+    others: bool = Field(True, description="Vehicles that take no part are obstacles, where they were last heard.")
     progress: bool = Field(
         False, description="Notifications plan.progress {job, what, done, total} until the answer, to this client."
     )
@@ -159,11 +157,11 @@ class PlanMakeParams(CertifyParams):
     exchangeable: bool = Field(False, description="Any vehicle may take any goal.")
     by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
-        description="The way in which it shall be flown (plan.run): by goto it is phased, with legs level or vertical, "
-        "and margins contain what autopilots fly by themselves. auto: as plan.run would choose.",
+        description="How plan.run is to fly it: by goto it is phased, with legs level or vertical and the margins"
+        " of autopilots' own ways. auto: as plan.run chooses.",
     )
     kind: Literal["auto", "timed", "phased", "direct"] = Field(
-        "auto", description="Only plans of this kind. direct: all fly straight at once, at any speed, as goto does."
+        "auto", description="Only plans of this kind. direct: all fly straight at once, as goto does."
     )
 
     @model_validator(mode="after")
@@ -190,7 +188,7 @@ class GivenPlan(MethodParams):
 class PlanCertifyParams(CertifyParams, GivenPlan):  # the last base comes first by position
     keep: bool = Field(False, description="The answer has the plan, with its certificate.")
     upload: int | None = Field(
-        None, description="Instead of plan: the number of one that plan.upload took in parts; it is used up by that."
+        None, description="Or the number of one that plan.upload took in parts, used up by that."
     )
 
     @model_validator(mode="after")
@@ -239,9 +237,9 @@ class PlanCancelled(Result):
 async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
     """Search a certified plan for vehicles: to positions, into a formation, or along written paths. Nothing moves.
 
-    Starts are the vehicles' measured positions, margins what the fleet file says and what was measured in flight. If
-    some stand on the ground, that is the floor unless space has one: none crosses on it. Where space has no fence or no
-    ceiling, the control fences of the vehicles are: what is made passes the check of a flight.
+    Starts are the measured positions, margins those of the fleet file and of what was measured. If some stand on the
+    ground, the plan is phased and begins with a climb, which is the floor unless space has one. Where space has no
+    fence or no ceiling, the control fences of the vehicles are.
     """
     facts = _Facts(context.services, params)
     limits = _limits(params.limits)
@@ -253,7 +251,9 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
     else:
         starts, goals, exchangeable = facts.task(params)
         in_phases = facts.choose_way(starts, params.by, timed=params.kind == "timed")
-        kind = "phased" if in_phases and params.kind == "auto" else params.kind
+        if facts.begins_on_ground and params.kind == "timed":
+            raise RefusedError("they stand on the ground, and a timed plan begins in the air: take off first")
+        kind = "phased" if (in_phases or facts.begins_on_ground) and params.kind == "auto" else params.kind
         request = make_request(
             starts,
             goals,
@@ -322,6 +322,11 @@ class _Facts:
         """The lowest place of vehicles that begin on the ground: none crosses there, nor below."""
         self._way: Choice | None = None
         self._taking_part: list[VehicleActor] = []
+
+    @property
+    def begins_on_ground(self) -> bool:
+        """True if some vehicles stand on the ground where they are to begin."""
+        return self._ground_m is not None
 
     def name(self, key: str) -> str:
         """Raises TargetError."""
@@ -447,8 +452,8 @@ def _vector(point: list[float]) -> Vector:
 _ERRORS = (error_codes.TARGET_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
-    Method("plan.make", PlanMakeParams, plan_make, PlanAnswer, _ERRORS, unique_keys=True),
-    Method("plan.certify", PlanCertifyParams, plan_certify, PlanAnswer, _ERRORS, unique_keys=True),
+    Method("plan.make", PlanMakeParams, plan_make, PlanAnswer, _ERRORS, unique_keys=True, reach="nothing"),
+    Method("plan.certify", PlanCertifyParams, plan_certify, PlanAnswer, _ERRORS, unique_keys=True, reach="nothing"),
     Method("plan.cancel", PlanCancelParams, plan_cancel, PlanCancelled),
     Method("plan.jobs", NoParams, plan_jobs, PlanningState),
 )

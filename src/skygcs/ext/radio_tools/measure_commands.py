@@ -84,13 +84,13 @@ def _existing(file: Path) -> dict[str, Any] | None:
 
     if not os.path.lexists(file):
         if not file.parent.is_dir() or not os.access(file.parent, os.W_OK):
-            raise RefusedError(f"{file} cannot be written: {file.parent} is no folder, or not yours to write to")
+            raise RefusedError(f"{file} cannot be written: {file.parent} is not a folder, or not yours to write to")
         return None
     try:
         return read_timing_document(file)
     except ConfigError as error:
         raise RefusedError(
-            f"{file} exists and is no timing file ({'; '.join(error.problems)}); it stays as it is: give another name"
+            f"{file} exists and is not a timing file ({'; '.join(error.problems)}); it stays as it is; name another"
         ) from None
 
 

@@ -141,7 +141,7 @@ async def carry(ports: tuple[RadioPort, RadioPort], probe: LinkProbe) -> None:
                         probe.feed(end, port._read(), loop.time())
             probe.advance(loop.time())
     except serial.SerialTimeoutException:
-        raise LinkError(f"{port.device}: the radio takes no data: are RTS and CTS wired (RTSCTS is on)?") from None
+        raise LinkError(f"{port.device}: the radio accepts no data: are RTS and CTS wired (RTSCTS is on)?") from None
     except (OSError, termios.error, ValueError) as error:
         raise LinkError(f"{port.device}: {explain(error)}") from None
     except asyncio.CancelledError:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -28,13 +29,17 @@ from skygcs.core.ros.topics import SOURCES
 from skygcs.errors import RpcError
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.fleet_topics import FleetTopics
+from skygcs.ext.ros.fresh_node import FreshNode
 from skygcs.ext.ros.graph import Node, SharedTopics
+from skygcs.ext.ros.late_gate import LateGate
+from skygcs.ext.ros.order_connection import OrderConnection
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.rate_requests import RateRequests
 from skygcs.ext.ros.vehicle_control import EVENTS, VehicleControl
 from skygcs.ext.ros.vehicle_services import MISSION_ACK
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
 from skygcs.rpc.client import Client
+from skygcs.runtime.loop_clock import SleepWatch, Standstill
 
 REPORT_S = 1.0
 
@@ -54,6 +59,24 @@ STATE_GROUPS = (
     *("ekf_origin", "position", "local", "home", "mission"),
 )
 
+STALE_S = 1.0
+"""After a sleep or a standstill all that waited has been read within this time: as many messages of a topic as its
+history holds, 10 as a rule, and 64 kB of the pipe from rospy. A node that streams is followed again after it."""
+
+BEAT_S = 0.1
+LATE_S = 1.0
+"""A pause of the loop that is this much longer than a beat is one in which what came has waited for too long, ..."""
+
+CATCH_UP_S = 0.2
+"""... and so has what is read within this time after it: the histories of all readers are taken in some turns. Shorter
+than `order_connection.VALID_S`, so that the setpoints of a node that goes on are followed without a gap."""
+
+CLOCKS_S = 5.0
+"""Between two comparisons with the daemon's clock, which is the same one unless the daemon is elsewhere."""
+
+WARNING = 4
+"""MAV_SEVERITY."""
+
 MOST_VEHICLES = 250
 """Number of system ids; further names are those of vehicles that were renumbered again and again."""
 
@@ -68,15 +91,29 @@ _log = structlog.get_logger(__name__)
 class Bridge:
     """`serve` with each connection to the daemon; topics and their readers outlive it."""
 
-    def __init__(self, node: Node, config: RosConfig, unix_ns: Callable[[], int] = time.time_ns) -> None:
-        self.node = node
+    def __init__(
+        self,
+        node: Node,
+        config: RosConfig,
+        unix_ns: Callable[[], int] = time.time_ns,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """``clock``: the loop's, by which what waited is refused."""
+        self._clock = clock
+        self.sleep: SleepWatch | None = None
+        """Since `watch` runs."""
+        self._beat_at = math.inf
+        self._stale_until = -math.inf
+        self._woken = asyncio.Event()
+        """Set once this connection is not to be used any more."""
+        self.node = node = FreshNode(node, LateGate(self.is_awake), self._log_late)
         self.config = config
         self.shared = SharedTopics(node)
         self.vehicles: dict[str, VehicleTopics] = {}
         self.controls: dict[str, VehicleControl] = {}
         """By vehicle's name; empty if nodes only read."""
         self.fleet = FleetTopics(node, lambda: ((v.state, v.root) for v in self.vehicles.values()), unix_ns)
-        self._gcs: Client | None = None
+        self._gcs: OrderConnection | None = None
         self.faults = 0
         """Messages that could not be converted."""
         self._unix_ns = unix_ns
@@ -92,10 +129,64 @@ class Bridge:
         self._sources = [*(SOURCES if self._px4 is None else {**SOURCES, **PX4_SOURCES}), MISSION_ACK]
         """Names of the messages that topics are made of, and of those that services follow."""
 
+    # -- sleep and standstill of this process
+
+    async def watch(self) -> None:
+        """Watch for standstills of this process, until cancelled."""
+        self.sleep = SleepWatch(self._on_woke, asyncio.get_running_loop())
+        while True:
+            self.sleep.beat()
+            self.is_awake()
+            self._beat_at = self._clock()
+            await asyncio.sleep(BEAT_S)
+
+    def is_awake(self) -> bool:
+        """False while what comes from nodes may have waited through a sleep, a standstill or a long turn of this
+        process. The daemon may have run all the while: to it, an order from here is new."""
+        if self.sleep is not None and self.sleep.check():
+            self._forget_all()
+        now = self._clock()
+        if now - self._beat_at > BEAT_S + LATE_S:
+            self._beat_at = now
+            self._stale_until = max(self._stale_until, now + CATCH_UP_S)
+        return now >= self._stale_until
+
+    def _on_woke(self, pause: Standstill) -> None:
+        _log.warning("what waited is not carried out, and the daemon is connected anew", reason=pause.text)
+        self._forget_all()
+
+    def _forget_all(self) -> None:
+        """Nothing of before is ordered but what ends a flight: neither what waits here, nor what waits in the
+        connection to the daemon."""
+        self._stale_until = self._clock() + STALE_S
+        if self._gcs is not None:
+            self._gcs.retired = True
+        self._woken.set()
+        for control in self.controls.values():
+            control.lost()
+
+    def _connected(self) -> OrderConnection | None:
+        """The connection for orders, the only way of this process to one."""
+        return self._gcs
+
+    def _log_late(self, name: str, reason: str) -> None:
+        for vehicle in self.vehicles.values():
+            if name.startswith(f"{vehicle.root}/"):
+                short = name.removeprefix(f"{vehicle.root}/")
+                vehicle.log(WARNING, f"{short}: not carried out: {reason}", self._unix_ns())
+
+    # -- one connection
+
     async def serve(self, gcs: Client) -> None:
-        """Until the connection ends. Raises DaemonUnreachable, RpcError."""
-        self._gcs, self._settings = gcs, {}
-        tasks: list[asyncio.Future[None]] = []
+        """Until the connection ends, or is not to be used any more. Raises DaemonUnreachable, RpcError."""
+        self._gcs, self._settings = None, {}
+        self._woken.clear()
+        orders = OrderConnection(gcs, self._clock, self.is_awake)
+        await orders.compare_clocks()
+        if self._woken.is_set():
+            return
+        self._gcs = orders
+        tasks: list[asyncio.Future[Any]] = []
         try:  # from here on orders are given over this connection
             known = {message["name"] for message in await gcs.call("messages.list")}
             await self._read_origin(gcs)
@@ -109,25 +200,34 @@ class Bridge:
                 self._follow_origin(gcs),
                 self._rates(gcs, rates),
                 self._count_readers(),
+                self._compare_clocks(orders),
                 self.fleet.follow_events(gcs),
                 self.fleet.follow_plan(gcs),
                 self.fleet.publish_states(gcs),
+                self._woken.wait(),
                 *([self._outcomes(gcs)] if self.config.commands == "all" else []),
             )
             tasks = [asyncio.ensure_future(one) for one in work]
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
+            await orders.endings_ended()
         finally:
             for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            self._gcs = self._origin = None
-            for control in self.controls.values():
-                control.lost()
-            for vehicle in self.vehicles.values():  # nothing is known of any vehicle without the daemon
-                vehicle.on_lost(self._unix_ns())
-            self.fleet.lost()
+            try:
+                await asyncio.gather(*tasks, return_exceptions=True)
+            finally:  # this task is cancelled there when the daemon was killed: two pipes of it end one after the other
+                self._lost()
+
+    def _lost(self) -> None:
+        """Nothing is known of any vehicle without the daemon."""
+        self._gcs = self._origin = None
+        for control in self.controls.values():
+            control.lost()
+        for vehicle in self.vehicles.values():
+            vehicle.on_lost(self._unix_ns())
+        self.fleet.lost()
 
     # -- messages
 
@@ -196,7 +296,7 @@ class Bridge:
                     self.node,
                     self.config,
                     vehicle,
-                    lambda: self._gcs,
+                    self._connected,
                     lambda: self._origin,
                     self._unix_ns,
                     lambda: self._settings.get(name, {}).get("takeoff_height_m"),
@@ -226,6 +326,12 @@ class Bridge:
         self._origin_is_old.clear()
         self._origin = FleetOrigin.read(await gcs.call("origin.get"))
         self.fleet.has_origin = self._origin.origin is not None
+
+    async def _compare_clocks(self, orders: OrderConnection) -> None:
+        """A task of its own: a daemon that answers late must keep nothing else."""
+        while True:
+            await asyncio.sleep(CLOCKS_S)
+            await orders.compare_clocks()
 
     async def _outcomes(self, gcs: Client) -> None:
         """A subscription of its own: no flood of other events pushes an outcome out."""

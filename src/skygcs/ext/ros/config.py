@@ -64,7 +64,7 @@ class RosConfig(Model):
             raise ValueError("master: only ROS 1 has one; set version = 1")
         for name in self.rates:
             if MESSAGE_NAME.fullmatch(name) is None:
-                raise ValueError(f"rates: {name!r} is no MAVLink message; give its name, as ATTITUDE_QUATERNION")
+                raise ValueError(f"rates: {name!r} is not a MAVLink message; give its name, as ATTITUDE_QUATERNION")
         for peer in self.peers:
             _check_peer(peer)
         return self
@@ -76,7 +76,7 @@ def _check_peer(peer: str) -> None:
         ipaddress.ip_address(peer)
     except ValueError:
         if re.fullmatch(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?", peer) is None:
-            raise ValueError(f"peers: {peer!r} is no address and no host name") from None
+            raise ValueError(f"peers: {peer!r} is neither an address nor a host name") from None
 
 
 def ros_problems(config: Any, fleet: FleetConfig) -> list[Problem]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import os
 import struct
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -29,6 +30,7 @@ from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros.dds_reception import Reception
 from skygcs.ext.ros.graph import MOST_PENDING, Handler
+from skygcs.ext.ros.late_gate import LATE
 
 ServiceQuality = Literal["service", "waiting"]
 SERVICE_DEPTHS: dict[ServiceQuality, int] = {"service": 10, "waiting": 100}
@@ -45,6 +47,11 @@ SERVICE_HEADER = struct.Struct("<QQ")
 MOST_SAMPLE_BYTES = 1 << 20
 """A longer sample is dropped, of Cyclone before it is put together. The longest that is read here is a request for a
 mission: some 80 bytes for each waypoint."""
+
+MOST_UNDER_WAY_S = 5.0
+"""A request that its client's computer stamped earlier is late (`late_gate`): a reliable writer sends again what was
+lost, after an outage of seconds as well. Clocks of computers with ROS must agree better than this: one that is further
+behind orders nothing but ends of flights, and what comes from one that is ahead is never late by its stamp."""
 
 MOST_SEQUENCE = 1 << 40
 """A larger number is no number of a request: another layer of ROS sends requests without this header."""
@@ -99,6 +106,11 @@ class Publication:
         """True if anything comes of writing: somebody reads, or may read it later."""
         return self.latched or self.readers > 0
 
+    def acknowledged(self, timeout_s: float) -> bool:
+        """Wait until all readers have acknowledged what was written, in a thread."""
+        # not the binding's own wait_for_acks: at a timeout that raises AttributeError (cyclonedds 0.10)
+        return bool(self._writer._wait_for_acks(self._writer._ref, duration(seconds=timeout_s)) == 0)
+
     def write(self, fields: Fields) -> None:
         """Send one message. Raises InterfaceError."""
         self.write_bytes(self._interfaces.encode(self.type, fields))
@@ -112,7 +124,7 @@ class Publication:
 
 
 class Subscriber:
-    """A topic that is read: ``on_message(fields)`` on the loop for each message that its interface describes."""
+    """A topic that is read: ``on_bytes(data, sent_ns)`` on the loop for each sample, with Unix time of its writer."""
 
     def __init__(
         self,
@@ -120,7 +132,7 @@ class Subscriber:
         name: str,
         type_: str,
         quality: Quality | ServiceQuality,
-        on_bytes: Callable[[bytes], None],
+        on_bytes: Callable[[bytes, int], None],
         user_data: bytes,
     ) -> None:
         self.name = name.removeprefix("rt")
@@ -141,7 +153,7 @@ class Subscriber:
             try:
                 if len(data) > MOST_SAMPLE_BYTES:  # with a configuration of the user's own
                     raise InterfaceError(f"{self.name}: {len(data)} bytes")
-                self._on_bytes(bytes(data))
+                self._on_bytes(bytes(data), info.source_timestamp)
             except InterfaceError:
                 self.rejected += 1
 
@@ -162,10 +174,11 @@ class Service:
         self._type = type_
         self._handler = handler
         self._node = node
-        self._tasks: set[asyncio.Task[None]] = set()
+        self.tasks: set[asyncio.Task[None]] = set()
+        """Each answers one request."""
         data = f"serviceid={os.urandom(16).hex()};".encode() + node.type_data(type_)
         quality: ServiceQuality = "service" if most_pending <= MOST_PENDING else "waiting"
-        self._replies = Publication(node, f"rr{name}Reply", f"{type_}_Response", quality, data)
+        self.replies = Publication(node, f"rr{name}Reply", f"{type_}_Response", quality, data)
         self.requests = Subscriber(node, f"rq{name}Request", f"{type_}_Request", quality, self._on_request, data)
 
     @property
@@ -173,7 +186,7 @@ class Service:
         """Requests that were none."""
         return self.requests.rejected
 
-    def _on_request(self, data: bytes) -> None:
+    def _on_request(self, data: bytes, sent_ns: int) -> None:
         """Raises InterfaceError for bytes that are no request of this service."""
         if len(data) < 4 + SERVICE_HEADER.size:
             raise InterfaceError(f"{self.name}: {len(data)} bytes are no request")
@@ -181,30 +194,41 @@ class Service:
         if not 0 < sequence < MOST_SEQUENCE:
             raise InterfaceError(f"{self.name}: a request of another layer of ROS than rmw_cyclonedds")
         request = self._node.interfaces.decode(f"{self._type}_Request", data[:4] + data[4 + SERVICE_HEADER.size :])
-        if len(self._tasks) >= self._most_pending:
+        if len(self.tasks) >= self._most_pending:
             self.overflown += 1
             return
         self.calls += 1
-        task = self._node.loop.create_task(self._answer(client, sequence, request), name=f"service {self.name}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        age_s = (self._node.unix_ns() - sent_ns) / 1e9
+        answering = self._answer(client, sequence, request, age_s)
+        task = self._node.loop.create_task(answering, name=f"service {self.name}")
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
 
-    async def _answer(self, client: int, sequence: int, request: dict[str, Any]) -> None:
+    async def _answer(self, client: int, sequence: int, request: dict[str, Any], age_s: float) -> None:
+        if age_s > MOST_UNDER_WAY_S:  # for this task alone
+            LATE.set(f"sent {age_s:.1f} s ago by its computer's clock: late, or that clock is behind")
         response = await self._handler(request)
         data = self._node.interfaces.encode(f"{self._type}_Response", response)
-        self._replies.write_bytes(data[:4] + SERVICE_HEADER.pack(client, sequence) + data[4:])
+        self.replies.write_bytes(data[:4] + SERVICE_HEADER.pack(client, sequence) + data[4:])
 
     def close(self) -> None:
         self.requests.close()
-        for task in self._tasks:
+        for task in self.tasks:
             task.cancel()
 
 
 class DdsNode:
     """One participant of a domain. Names are those of ROS: "/alpha/mavros/state"."""
 
-    def __init__(self, network: Network, interfaces: Interfaces, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self,
+        network: Network,
+        interfaces: Interfaces,
+        loop: asyncio.AbstractEventLoop,
+        unix_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
         """Raises DDSException, when no interface of the network can be used."""
+        self.unix_ns = unix_ns
         self.interfaces = interfaces
         self.loop = loop
         # with CYCLONEDDS_URI a user has described the network; it is Cyclone's own way, and ROS 2's
@@ -228,7 +252,7 @@ class DdsNode:
     ) -> Subscriber:
         """Call ``on_message(fields)`` for each message from now on."""
 
-        def on_bytes(data: bytes) -> None:
+        def on_bytes(data: bytes, sent_ns: int) -> None:
             on_message(self.interfaces.decode(type_, data))
 
         made = Subscriber(self, f"rt{name}", type_, quality, on_bytes, self.type_data(type_))
@@ -245,6 +269,20 @@ class DdsNode:
         """Look who reads each topic now; to be called some times a second."""
         for publication in self.publications.values():
             publication.count_readers()
+
+    async def drained(self, timeout_s: float) -> None:
+        """Wait until requests are answered and all reliable readers have what was sent, at most ``timeout_s``."""
+        end_s = self.loop.time() + timeout_s
+        tasks = [task for service in self.services.values() for task in service.tasks]
+        if tasks:
+            await asyncio.wait(tasks, timeout=timeout_s)
+        writers = [*self.publications.values(), *(service.replies for service in self.services.values())]
+
+        def wait() -> None:
+            for writer in writers:
+                writer.acknowledged(max(0.0, end_s - self.loop.time()))
+
+        await asyncio.to_thread(wait)
 
     def close(self) -> None:
         """End reading and answering."""

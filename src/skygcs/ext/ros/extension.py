@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from skygcs.config.tables import Problem
 from skygcs.ext.ros.config import RosConfig, ros_problems
 from skygcs.ext.ros.methods import METHODS, RosReport
-from skygcs.extension import Extension
+from skygcs.process_extension import ProcessExtension
 from skygcs.runtime.supervised_child import SupervisedChild
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ MODULES = {1: ("rosbags",), 2: ("cyclonedds", "rosbags")}
 """By the version of ROS."""
 
 
-class Ros(Extension[RosConfig]):
-    """Keeps the process running. It is a client of the socket, and is started when that answers."""
+class Ros(ProcessExtension[RosConfig]):
+    """Keeps the process of ROS running, and has its last report."""
 
     Config = RosConfig
 
     def __init__(self, core: Services, config: RosConfig) -> None:
         super().__init__(core, config)
-        self._child = SupervisedChild(
+        self.child = SupervisedChild(
             "ROS",
             "ros",
             ["--supervised", "--socket", os.fspath(core.socket_path), "--config", config.model_dump_json()],
@@ -39,7 +39,6 @@ class Ros(Extension[RosConfig]):
             core.event_log.publish,
             command=[sys.executable, "-m", "skygcs.ext.ros"],
         )
-        self._answers = asyncio.Event()
         self.report: RosReport | None = None
         """The last one of the process."""
         self.reported_at = 0.0
@@ -56,9 +55,6 @@ class Ros(Extension[RosConfig]):
     def methods(self) -> Iterable[Method[Context]]:
         return METHODS
 
-    def info(self) -> dict[str, Any]:
-        return self._child.status()
-
     def announcement(self) -> str:
         allowed = {"none": "topics only", "setpoints": "topics and setpoints", "all": "topics, setpoints and services"}
         return f"{allowed[self.config.commands]}, {self.config.network} (skygcs-cli ros status)"
@@ -66,15 +62,3 @@ class Ros(Extension[RosConfig]):
     def take(self, report: RosReport) -> None:
         """A report of the process."""
         self.report, self.reported_at = report, self.core.now()
-
-    async def start(self) -> None:
-        """The socket answers."""
-        self._answers.set()
-
-    async def run(self) -> None:
-        """Keep it running."""
-        await self._answers.wait()
-        await self._child.run()
-
-    def close(self) -> None:
-        self._child.close()

@@ -41,6 +41,9 @@ SEEN_S = 2.0
 AGAIN_S = 2.0
 ATTEMPTS = 5
 
+OFFBOARD_MODES = frozenset({"OFFBOARD", "GUIDED"})
+"""Modes that are flown by skygcs' control."""
+
 UNDER_CONTROL = frozenset({"engaging", "flying"})
 
 

@@ -24,8 +24,10 @@ from skygcs.rpc.client import connect
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 """Between two attempts to reach the daemon."""
 
-FAREWELL_S = 0.2
-"""Time before the node is closed, in which the results of goals that ended with the connection go out."""
+FAREWELL_S = 2.5
+"""At most, before the node is closed: the results of goals that ended with the connection reach their clients. A client
+that is gone and was not missed yet takes it all; the daemon kills this process after 5 s (SupervisedChild), and
+the process of rospy takes `rospy_node.END_S` more."""
 
 MOST_MEMORY_BYTES = 1 << 30
 """Limit of this process: DDS keeps something of every endpoint that any participant of the network announces, and of no
@@ -77,16 +79,19 @@ async def serve_ros(options: Options) -> None:
         loop.add_reader(sys.stdin, _on_input, loop, stopping)
     node, running = _node_of(config, loop)
     try:
-        serving = asyncio.create_task(_serve(Bridge(node, config), options), name="ros bridge")
+        bridge = Bridge(node, config)
+        serving = asyncio.create_task(_serve(bridge, options), name="ros bridge")
         stopped = asyncio.create_task(stopping.wait(), name="ros stop")
-        work = {serving, stopped} if running is None else {serving, stopped, running}
+        watch = asyncio.create_task(bridge.watch(), name="watch of standstills")
+        work = {serving, stopped, watch} if running is None else {serving, stopped, watch, running}
         await asyncio.wait(work, return_when=asyncio.FIRST_COMPLETED)
         stopped.cancel()
         for task in work - {stopped}:
             if task.done():
                 task.result()
+        await ended(watch)
         await ended(serving)
-        await asyncio.sleep(FAREWELL_S)
+        await node.drained(FAREWELL_S)
     finally:
         node.close()
         if running is not None:

@@ -27,6 +27,7 @@ from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces
 from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros.graph import MOST_PENDING, Handler
+from skygcs.ext.ros.late_gate import LATE, WAITED
 from skygcs.ext.ros.rospy_program import HEAD, NO_MASTER, NO_ROSPY, packed
 
 PYTHON = "/usr/bin/python3"
@@ -42,8 +43,12 @@ TURN = 16
 """Frames that are taken before others of the loop have their turn."""
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-END_S = 3.0
-"""How long the process may take to take its names from the master."""
+END_S = 1.5
+"""How long the process may take to take its names from the master: with `process.FAREWELL_S` less than the time after
+which the daemon kills both (SupervisedChild), which would leave the names there."""
+
+SENDING_S = 1.0
+"""Time for the last answers on their way through the process: with 0.2 s a computer with a load of 12 lost one."""
 
 _log = structlog.get_logger(__name__)
 
@@ -115,26 +120,32 @@ class RospyService:
         self._request, self._response = ros1.service_parts(type_)
         self._handler = handler
         self._most_pending = most_pending
-        self._tasks: set[asyncio.Task[None]] = set()
+        self.tasks: set[asyncio.Task[None]] = set()
+        """Each answers one call."""
 
-    def take(self, call: int, data: bytes) -> None:
-        """One request that came; of one that is not carried out the response is empty: its success is false."""
+    def take(self, call: int, data: bytes, is_late: bool = False) -> None:
+        """One request that came; of one that is not carried out the response is empty: its success is false.
+        ``is_late``: it waited while the process of rospy stood still."""
         try:
             request = ros1.decode(self._node.interfaces, self._request, data)
         except InterfaceError:
             self.rejected += 1
             self._answer(call, {})
             return
-        if len(self._tasks) >= self._most_pending:
+        if len(self.tasks) >= self._most_pending:
             self.overflown += 1
             self._answer(call, {})
             return
         self.calls += 1
-        task = asyncio.get_running_loop().create_task(self._carry_out(call, request), name=f"service {self.name}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task = asyncio.get_running_loop().create_task(
+            self._carry_out(call, request, is_late), name=f"service {self.name}"
+        )
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
 
-    async def _carry_out(self, call: int, request: dict[str, Any]) -> None:
+    async def _carry_out(self, call: int, request: dict[str, Any], is_late: bool) -> None:
+        if is_late:  # for this task alone
+            LATE.set(WAITED)
         run = self._node.run_number
         response = await self._handler(request)
         if self._node.run_number == run:  # calls of another process have the same numbers
@@ -146,7 +157,7 @@ class RospyService:
 
     def close(self) -> None:
         """Nothing is carried out any more."""
-        for task in self._tasks:
+        for task in self.tasks:
             task.cancel()
 
 
@@ -225,6 +236,12 @@ class RospyNode:
             await asyncio.sleep(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
+    async def drained(self, timeout_s: float) -> None:
+        """Wait until requests are answered, and then for the process, which does not report what went out."""
+        if tasks := [task for service in self.services.values() for task in service.tasks]:
+            await asyncio.wait(tasks, timeout=max(0.0, timeout_s - SENDING_S))
+        await asyncio.sleep(min(timeout_s, SENDING_S))
+
     def close(self) -> None:
         """End answering; the process ends with `run`."""
         for service in self.services.values():
@@ -295,7 +312,7 @@ class RospyNode:
         if kind == "message":
             made.take(body)
         elif kind == "call":
-            made.take(head["call"], body)
+            made.take(head["call"], body, head["late"])
         elif kind == "readers":
             made.readers = head["count"]
 

@@ -9,7 +9,9 @@ is the lengths of its two parts (HEAD), JSON, and bytes:
            {"do": "send", "id"} message            {"do": "answer", "call"} response
     out    {"is": "up"}                            the node is registered at the master
            {"is": "readers", "id", "count"}        each time that it changes
-           {"is": "message", "id"} message         {"is": "call", "id", "call"} request
+           {"is": "message", "id"} message         {"is": "call", "id", "call", "late"} request
+
+"late": it may have waited while this process stood still. Messages of then are dropped here: they are setpoints.
 
 It ends when its input does. It also ends when the master has gone or was started anew, which knows no nodes then: the
 other process starts it again.
@@ -48,6 +50,16 @@ COUNT_S = 0.25
 MASTER_S = 3.0
 """From one look at the readers, and at the master, to the next."""
 
+SLEEPS_COUNT = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+"""The clock that counts sleeps of the computer as well."""
+
+BEAT_S = 0.1
+LATE_S = 1.0
+"""A pause of this process that is this much longer than a beat is one in which what came waited for too long."""
+
+CATCH_UP_S = 1.0
+"""After such a pause what is read within this time has waited."""
+
 MOST_FAULTS = 10
 """Printed; further ones are the same again."""
 
@@ -71,6 +83,29 @@ def read_frame(file: BinaryIO) -> tuple[dict[str, Any], bytes] | None:
     return None if len(body) < body_size else (json.loads(text), body)
 
 
+class Beat:
+    """Notices that this process did not run: what came meanwhile has waited in sockets."""
+
+    def __init__(self, clock: Any = lambda: time.clock_gettime(SLEEPS_COUNT)) -> None:
+        self._clock = clock
+        self._at = clock()
+        self._late_until = self._at
+
+    def run(self) -> None:
+        """Watch, in a thread of its own."""
+        while True:
+            self.is_late()
+            time.sleep(BEAT_S)
+
+    def is_late(self) -> bool:
+        """True if what is read now may have waited."""
+        now = self._clock()
+        if now - self._at > BEAT_S + LATE_S:
+            self._late_until = now + CATCH_UP_S
+        self._at = now
+        return bool(now < self._late_until)
+
+
 class Program:
     """Publishers, subscribers and services of one node of rospy."""
 
@@ -83,6 +118,7 @@ class Program:
         self._kept: list[Any] = []
         self._calls: dict[int, Call] = {}
         self._last_call = 0
+        self.beat = Beat()
 
     def say(self, head: dict[str, Any], body: bytes = b"") -> None:
         """Write a frame, from any thread; it waits while the other process does not read."""
@@ -134,7 +170,7 @@ class Program:
         return type(type_.rpartition("/")[2], (self._rospy.AnyMsg,), members)
 
     def _on_message(self, message: Any, number: int) -> None:
-        if len(message._buff) <= MOST_BYTES:
+        if len(message._buff) <= MOST_BYTES and not self.beat.is_late():
             self.say({"is": "message", "id": number}, message._buff)
 
     def _serve(self, head: dict[str, Any]) -> None:
@@ -155,6 +191,7 @@ class Program:
 
     def _answer(self, service: int, request: bytes) -> bytes:
         """Bytes of the response; in a thread of rospy. Raises ServiceException."""
+        is_late = self.beat.is_late()
         with self._lock:
             if len(self._calls) >= MOST_CALLS or len(request) > MOST_BYTES:
                 raise self._rospy.ServiceException("too many requests wait")
@@ -162,7 +199,7 @@ class Program:
             number = self._last_call
             call = self._calls[number] = Call()
         try:
-            self.say({"is": "call", "id": service, "call": number}, request)
+            self.say({"is": "call", "id": service, "call": number, "late": is_late}, request)
             response = call.wait()
         finally:
             del self._calls[number]
@@ -276,6 +313,7 @@ def main() -> int:
     program = Program(rospy, out)
     program.say({"is": "up"})
     master = rosgraph.Master(rospy.get_name())
+    threading.Thread(target=program.beat.run, daemon=True).start()
     threading.Thread(target=_watch, args=(program, master, rospy.get_name()), daemon=True).start()
     faults = 0
     while True:

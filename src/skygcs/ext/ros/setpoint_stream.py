@@ -1,8 +1,8 @@
 """Setpoints of one vehicle's topics on their way to control.setpoint.
 
 At most one is on its way to the daemon; one that comes meanwhile waits, and the newest takes the place of an older one:
-a flood of messages is as many requests as the daemon answers. Each is good for VALID_S there, so a node that stops,
-stops. Whether the vehicle follows is the daemon's: only one that is under control does.
+a flood of messages is as many requests as the daemon answers. Each is good for a short time there (`order_connection`),
+so a node that stops, stops. Whether the vehicle follows is the daemon's: only one that is under control does.
 """
 
 from __future__ import annotations
@@ -28,11 +28,8 @@ from skygcs.core.ros.setpoints import (
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.graph import Node
 from skygcs.ext.ros.offboard import UNDER_CONTROL, Offboard
+from skygcs.ext.ros.order_connection import OrderConnection
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
-from skygcs.rpc.client import Client
-
-VALID_S = 0.5
-"""The default of control.setpoint; MAVROS' users stream above 2 Hz, which PX4 asks for."""
 
 SETTLED_S = 5.0
 """A setpoint that is refused now and then, between others that are followed, is logged once."""
@@ -51,7 +48,7 @@ class SetpointStream:
         self,
         node: Node,
         vehicle: VehicleTopics,
-        gcs: Callable[[], Client | None],
+        gcs: Callable[[], OrderConnection | None],
         origin: Callable[[], FleetOrigin | None],
         clock: Callable[[], float],
         unix_ns: Callable[[], int],
@@ -73,7 +70,8 @@ class SetpointStream:
         """When the last demand in the body's frame came."""
         self._lacked_attitude = False
         """One of those that came since had no attitude."""
-        self._waiting: Demand | None = None
+        self._waiting: tuple[float, Demand] | None = None
+        """And when it came."""
         self._sending: asyncio.Task[None] | None = None
         for name, (topic, convert) in SETPOINTS.items():
             node.subscribe(f"{vehicle.mavros}/{name}", topic.type, topic.quality, self.reader(convert))
@@ -134,28 +132,27 @@ class SetpointStream:
 
     def take(self, demand: Demand) -> None:
         """A setpoint that came."""
-        self.offboard.on_demand(demand, self._clock())
+        came_at = self._clock()
+        self.offboard.on_demand(demand, came_at)
         control = self._vehicle.state.get("control")
         if control is None or control.get("state") not in UNDER_CONTROL:
             if self.offboard.state == "idle":
                 name = self._vehicle.name
                 self._refuse(f"not under control: a person engages it (skygcs-cli control set {name} {demand.mode})")
             return
-        self._waiting = demand
+        self._waiting = came_at, demand
         if self._sending is None:
             self._sending = asyncio.create_task(self._send(), name=f"setpoints of {self._vehicle.name}")
 
     async def _send(self) -> None:
         """Send what waits, until nothing does."""
         try:
-            while (demand := self._waiting) is not None:
-                self._waiting = None
+            while self._waiting is not None:
+                (came_at, demand), self._waiting = self._waiting, None
                 gcs = self._gcs()
                 if gcs is None:
                     return
-                name = self._vehicle.name
-                outcomes = await gcs.setpoint(name, valid_s=VALID_S, **demand.params)
-                outcome = outcomes[name]
+                outcome = await gcs.setpoint(self._vehicle.name, came_at, **demand.params)
                 if outcome["ok"]:
                     self.sent += 1
                     self.refusal = None

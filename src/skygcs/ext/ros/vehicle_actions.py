@@ -20,8 +20,8 @@ from skygcs.core.ros.order_progress import ACTIONS, End, GoalError, Order, Order
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.action_server import ActionServer
 from skygcs.ext.ros.graph import Node
+from skygcs.ext.ros.order_connection import OrderConnection
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
-from skygcs.rpc.client import Client
 
 ERROR, INFO = 3, 6
 """MAV_SEVERITY."""
@@ -47,7 +47,7 @@ class VehicleActions:
         self,
         node: Node,
         vehicle: VehicleTopics,
-        gcs: Callable[[], Client | None],
+        gcs: Callable[[], OrderConnection | None],
         takeoff_height_m: Callable[[], float | None],
         on_order: Callable[[], None],
         clock: Callable[[], float],

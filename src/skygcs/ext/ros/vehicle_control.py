@@ -12,13 +12,13 @@ from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.config import RosConfig
 from skygcs.ext.ros.graph import Node
 from skygcs.ext.ros.offboard import Engage, TakeOff
+from skygcs.ext.ros.order_connection import OrderConnection
 from skygcs.ext.ros.px4_control import Px4Commands, Px4Setpoints
 from skygcs.ext.ros.px4_topics import Px4Topics
 from skygcs.ext.ros.setpoint_stream import SetpointStream
 from skygcs.ext.ros.vehicle_actions import VehicleActions
 from skygcs.ext.ros.vehicle_services import VehicleServices
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
-from skygcs.rpc.client import Client
 
 EVENTS = ("command", "reboot")
 """Kinds of events that control by nodes follows."""
@@ -35,7 +35,7 @@ class VehicleControl:
         node: Node,
         config: RosConfig,
         vehicle: VehicleTopics,
-        gcs: Callable[[], Client | None],
+        gcs: Callable[[], OrderConnection | None],
         origin: Callable[[], FleetOrigin | None],
         unix_ns: Callable[[], int],
         takeoff_height_m: Callable[[], float | None],
@@ -69,7 +69,9 @@ class VehicleControl:
                 return px4.memory.clock.boot_us(self._unix_ns())
 
             sysid = self._vehicle.sysid
-            self._px4_commands = Px4Commands(self._node, known, root, sysid, self._services, boot_us, self._log)
+            self._px4_commands = Px4Commands(
+                self._node, known, root, sysid, self._services, boot_us, self._log, self._clock
+            )
 
     @property
     def commands_rejected(self) -> int:
@@ -136,7 +138,8 @@ class VehicleControl:
         gcs = self._gcs()
         if gcs is not None:
             name = self._vehicle.name
-            outcome = (await gcs.takeoff(name, height_m, arm=False))[name]
+            answer = await gcs.call("vehicles.takeoff", targets=name, height_m=height_m, arm=False)
+            outcome = answer["outcomes"][name]
             if not outcome["ok"]:
                 self._log(ERROR, f"take-off: {outcome['message']}")
                 self.stream.offboard.end()

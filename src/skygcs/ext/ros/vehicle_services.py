@@ -13,12 +13,11 @@ from skygcs.core.ros import services
 from skygcs.core.ros.mission_list import MissionList
 from skygcs.core.ros.services import FAILED, RequestError
 from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.ext.ros.ending_orders import ends_flight
 from skygcs.ext.ros.graph import Node
-from skygcs.ext.ros.offboard import Offboard
+from skygcs.ext.ros.offboard import OFFBOARD_MODES, Offboard
+from skygcs.ext.ros.order_connection import OrderConnection
 from skygcs.ext.ros.vehicle_topics import VehicleTopics
-from skygcs.rpc.client import Client
-
-OFFBOARD_MODES = frozenset({"OFFBOARD", "GUIDED"})
 
 READY_MODES = {"px4": "AUTO.LOITER", "ardupilot": "GUIDED"}
 """By autopilot: the mode in which it waits on the ground for OFFBOARD by skygcs."""
@@ -39,7 +38,7 @@ class VehicleServices:
         node: Node,
         vehicle: VehicleTopics,
         offboard: Offboard,
-        gcs: Callable[[], Client | None],
+        gcs: Callable[[], OrderConnection | None],
         clock: Callable[[], float],
         unix_ns: Callable[[], int],
         ros1: bool = False,
@@ -129,16 +128,21 @@ class VehicleServices:
             raise RequestError("a command to all vehicles (broadcast) is not sent from one vehicle's namespace")
         order = services.order_of_command(request)
         if order is not None:
-            if order == "vehicles.land":
+            if order in services.ORDERS.values():
                 self._end_offboard()
             return services.response(await self._order(order))
-        params = services.command_params(request)
-        return services.response(await self._order("vehicles.command", command=request["command"], params=params))
+        params = {"command": request["command"], "params": services.command_params(request)}
+        return services.response(await self._raw_command(params))
 
     async def _command_int(self, request: Fields) -> dict[str, Any]:
         if request["broadcast"]:
             raise RequestError("a command to all vehicles (broadcast) is not sent from one vehicle's namespace")
-        return {"success": bool((await self._order("vehicles.command", **services.command_int(request)))["ok"])}
+        return {"success": bool((await self._raw_command(services.command_int(request)))["ok"])}
+
+    async def _raw_command(self, params: dict[str, Any]) -> dict[str, Any]:
+        if ends_flight("vehicles.command", params):
+            self._end_offboard()
+        return await self._order("vehicles.command", **params)
 
     async def _takeoff(self, request: Fields) -> dict[str, Any]:
         height_m = services.takeoff_height_m(request, self._vehicle.state)
@@ -168,16 +172,21 @@ class VehicleServices:
 
     async def _wish_offboard(self, mode: str) -> bool:
         """OFFBOARD by skygcs' control. On the ground the autopilot goes to a mode in which it may be armed and take
-        off: it may stand in OFFBOARD without setpoints, or in LAND. Raises RequestError."""
+        off: it may stand in OFFBOARD without setpoints, or in LAND.
+        Raises RequestError, RpcError, DaemonUnreachable."""
         refusal = self._offboard.wish(mode, self._clock())
         if refusal is not None:
             raise RequestError(refusal)
         state = self._vehicle.state
         ready = READY_MODES.get(state.get("autopilot", ""))
         if ready is not None and not state.get("armed") and state.get("mode") != ready:
-            outcome = await self._order("vehicles.mode", mode=ready)
-            if not outcome["ok"]:
-                self._end_offboard()
+            ok = False
+            try:
+                ok = bool((await self._order("vehicles.mode", mode=ready, in_time=True))["ok"])
+            finally:
+                if not ok:
+                    self._end_offboard()
+            if not ok:
                 return False
         self._vehicle.shown_mode = self._offboard.shown_mode
         self._log(INFO, f"{mode}: control begins when it flies")

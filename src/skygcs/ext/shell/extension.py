@@ -119,7 +119,7 @@ class Shell(Extension[ShellConfig]):
             self._closed_at[key] = now
         session.starts_at = self._closed_at.get(key, -math.inf) + RESTART_S
         if session.starts_at <= now and not self._start(session, now):
-            raise RefusedError(f"{actor.name}: no link takes the message now")
+            raise RefusedError(f"{actor.name}: no link can send the message now")
         self._sessions[session.key] = session
         session.take_back = context.at_end(lambda: self._end(session, "its client is gone"))
         others = ", ".join(vehicle.name for vehicle in self._others(actor))
@@ -299,7 +299,7 @@ class Shell(Extension[ShellConfig]):
     def _others(self, actor: VehicleActor) -> list[Vehicle]:
         """PX4s of other systems on the channels that lead to this one."""
         hub = self.core.hub
-        on = {key for i in hub.channels_to(actor.sysid, actor.compid) for key in hub.router.autopilots_on(i)}
+        on = {key for i in hub.channels_to(actor.sysid, actor.compid) for key in hub.router.table.autopilots_on(i)}
         actors = (self.core.fleet.vehicles.get(key) for key in sorted(on))
         vehicles: list[Vehicle] = [other.vehicle for other in actors if other is not None]
         return [

@@ -19,7 +19,7 @@ LONGEST_READ_S = 60.0
 class ShellOpenParams(MethodParams):
     vehicle: Target
     force: bool = Field(
-        False, description="Although it is not known to be disarmed, or others on its link may execute the lines, too."
+        False, description="Although it is not known to be disarmed, or others on its link may execute the lines."
     )
 
 
@@ -96,17 +96,16 @@ def _keeper(context: Context) -> ShellKeeper:
 def shell_open(context: Context, params: ShellOpenParams) -> JsonObject:
     """Open the console of a PX4: a new shell, whose prompt comes with shell.read.
 
-    One client has it at a time, and it ends with its client. Refused for other firmware, and without force for a
-    vehicle that is not known to be disarmed.
+    One client at a time; it ends with its client. Refused for other firmware, and without force for a vehicle that is
+    not known to be disarmed.
     """
     return _keeper(context).open(context, params.vehicle, force=params.force)
 
 
 def shell_write(context: Context, params: ShellWriteParams) -> JsonObject:
-    """Give the shell text. A line waits until the one before has been executed.
+    """Send text to the shell. A line waits until the one before has been executed.
 
-    Each write, and each line when its turn comes, is refused without force while the vehicle is not known to be
-    disarmed.
+    Without force each line is refused while the vehicle is not known to be disarmed.
     """
     return _keeper(context).write(params.session, params.text)
 
@@ -117,7 +116,7 @@ async def shell_read(context: Context, params: ShellReadParams) -> JsonObject:
 
 
 def shell_close(context: Context, params: SessionParams) -> JsonObject:
-    """End the session, and the shell; a vehicle that is not known to be disarmed is not told unless it was forced."""
+    """End the session, and the shell; nothing is sent to a vehicle that is not known to be disarmed unless forced."""
     return _keeper(context).close_session(params.session)
 
 
@@ -131,7 +130,7 @@ _REFUSED = (error_codes.REFUSED,)
 METHODS: tuple[Method[Any], ...] = (
     Method("shell.open", ShellOpenParams, shell_open, ShellOpened, (error_codes.TARGET_ERROR, error_codes.REFUSED)),
     Method("shell.write", ShellWriteParams, shell_write, ShellWritten, _REFUSED),
-    Method("shell.read", ShellReadParams, shell_read, ShellText, _REFUSED),
+    Method("shell.read", ShellReadParams, shell_read, ShellText, _REFUSED, reach="nothing"),
     Method("shell.close", SessionParams, shell_close, ShellClosed, _REFUSED),
     Method("shell.status", NoParams, shell_status, ShellStatus),
 )

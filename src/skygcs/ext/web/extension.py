@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.web import WebConfig
-from skygcs.extension import Extension
+from skygcs.process_extension import ProcessExtension
 from skygcs.runtime.supervised_child import SupervisedChild
 
 if TYPE_CHECKING:
     from skygcs.rpc.context import Services
 
 
-class Web(Extension[WebConfig]):
-    """Keeps the process running. It is a client of the socket, and is started when that answers."""
+class Web(ProcessExtension[WebConfig]):
+    """Keeps `skygcs web` running."""
 
     Config = WebConfig
 
@@ -25,31 +25,15 @@ class Web(Extension[WebConfig]):
         super().__init__(core, config)
         line, loop = web_arguments(config, core.socket_path), asyncio.get_running_loop()
         more = {"page": page_address(config)}
-        self._child = SupervisedChild("the web page", "web", line, loop, core.event_log.publish, more=more)
-        self._answers = asyncio.Event()
+        self.child = SupervisedChild("the web page", "web", line, loop, core.event_log.publish, more=more)
 
     @classmethod
     def notes(cls, config: Any) -> list[str]:
         missing = find_spec("aiohttp") is None
         return ["aiohttp is not installed here: pip install 'skygcs[web]'"] if missing else []
 
-    def info(self) -> dict[str, Any]:
-        return self._child.status()
-
     def announcement(self) -> str:
-        return f"{self._child.more['page']} (skygcs web link prints an address)"
-
-    async def start(self) -> None:
-        """The socket answers."""
-        self._answers.set()
-
-    async def run(self) -> None:
-        """Keep it running."""
-        await self._answers.wait()
-        await self._child.run()
-
-    def close(self) -> None:
-        self._child.close()
+        return f"{self.child.more['page']} (skygcs web link prints an address)"
 
 
 def page_address(config: WebConfig) -> str:

@@ -187,7 +187,7 @@ def _write(xbee: XBeePort, wanted: dict[str, bytes], node: int | None) -> list[s
                 xbee.reopen(baud_of(value) or xbee.baud if name == "BD" else xbee.baud)
             held = xbee.get(name, node)
             if held is None or not same_value(name, held, value):
-                raise LinkError(f"{xbee.device}: {name} was written and is not held")
+                raise LinkError(f"{xbee.device}: {name} was written but does not read back")
         if lines:
             xbee.put("WR", b"", node)
     except BaseException as error:

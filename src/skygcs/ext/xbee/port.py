@@ -158,7 +158,7 @@ class XBeePort:
         if name == "NI":
             return 0, line.encode("ascii", "replace")
         if not re.fullmatch("[0-9A-Fa-f]{1,32}", line):
-            raise LinkError(f"{self.device}: AT{name}: {line[:40]!r} is no value")
+            raise LinkError(f"{self.device}: AT{name}: {line[:40]!r} is not a value")
         return 0, bytes.fromhex(line.rjust(len(line) + len(line) % 2, "0"))
 
     def _api(self, name: str, value: bytes, node: int | None) -> tuple[int, bytes]:

@@ -36,6 +36,7 @@ CASES = {
     "failsafe": (event("failsafe", failsafe=True), event("failsafe", failsafe=False)),
     "stop": (event("command", order="stop", ok=False, result="denied"), event("command", order="land", ok=True)),
     "takeoff": (event("takeoff"), event("disarmed")),
+    "return": (event("command", order="rtl", result="failed"), event("command", order="rtl", ok=True)),
     "guard": (event("control", state="held"), event("control", state="flying")),
     "fence": (event("fence", outside=True), event("fence", outside=False)),
     "separation": (
@@ -78,6 +79,8 @@ def test_what_is_no_alarm_raises_none() -> None:
         event("command", order="stop", ok=True),
         event("command", order="stop", result="in_progress"),
         event("command", order="arm", ok=False),
+        event("command", order="rtl", ok=False, result="failed"),
+        event("command", order="rtl", result="in_progress"),
         event("command", order="stop", ok=False, result="cancelled"),
         event("statustext", level=4),
         event("statustext", text="PreArm: Compass not healthy", level=2),
@@ -90,6 +93,14 @@ def test_what_is_no_alarm_raises_none() -> None:
     ]
     assert happen(Alarms(), *quiet) == []
     assert set(RULES) <= {*EVENT_KINDS, "plan"}
+
+
+def test_a_hold_ends_no_alarm_of_a_return_that_was_given_up() -> None:
+    """It holds already, and nobody sends it home by that."""
+    alarms = Alarms()
+    assert happen(alarms, event("command", order="rtl", result="failed")) == ["return"]
+    happen(alarms, event("command", order="hold", ok=True))
+    assert [alarm.active for alarm in alarms.all()] == [True]
 
 
 def test_one_loss_is_one_alarm() -> None:

@@ -7,17 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.control import (
-    AxisGains,
-    ControlConfig,
-    Estimate,
-    Memory,
-    Output,
-    Reference,
-    Saturation,
-    step,
-    velocity_step,
-)
+from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Output, Reference, step, velocity_step
 from support.table import each
 
 CONFIG = ControlConfig()
@@ -241,10 +231,6 @@ def test_integrals_at_their_bound_are_named():
     assert "integral_xy" in output.saturation.names()
     output, _ = flown(Reference((0.0, 0.0, 0.1)), memory=Memory((0.0, 0.0, 0.9)))
     assert "integral_z" in output.saturation.names()
-
-
-def test_nothing_is_saturated_unless_said():
-    assert Saturation(*[False] * 9).names() == ()
 
 
 # --- any input whatsoever --------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import pytest
 
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.pi import clip, filtered_slope, horizontal, horizontal_limit, newest_weight, vertical
+from support.table import each
 
 CONFIG = ControlConfig()
 DT_S = 0.02
@@ -31,26 +32,20 @@ def test_the_slope_of_a_step_dies_at_the_cut_off_frequency():
     assert second == pytest.approx(first * (1 - 0.38587), rel=1e-4)
 
 
-def test_the_vertical_integral_stops_at_full_thrust_while_the_error_asks_for_more():
-    up = vertical(CONFIG, 2.0, 0.0, 0.3, 0.0, DT_S)
-    assert (up.thrust, up.integral, up.at_max) == (0.9, 0.3, True)
-
-
-def test_the_vertical_integral_stops_at_least_thrust_while_the_error_asks_for_less():
-    up = vertical(CONFIG, -2.0, 0.0, -0.3, 0.0, DT_S)
-    assert (up.thrust, up.integral, up.at_min) == (0.1, -0.3, True)
-
-
-def test_at_full_thrust_an_error_downwards_still_unwinds_the_vertical_integral():
-    up = vertical(CONFIG, -0.5, 0.0, 0.9, 0.0, DT_S)
-    assert up.at_max
-    assert up.integral == pytest.approx(0.9 - 0.02 * 0.5 * DT_S)
-
-
-def test_at_least_thrust_an_error_upwards_still_unwinds_the_vertical_integral():
-    up = vertical(CONFIG, 0.5, 0.0, -0.9, 0.0, DT_S)
-    assert up.at_min
-    assert up.integral == pytest.approx(-0.9 + 0.02 * 0.5 * DT_S)
+@each(
+    ("error", "before", "after", "at_max"),
+    [
+        (2.0, 0.3, 0.3, True),
+        (-2.0, -0.3, -0.3, False),
+        (-0.5, 0.9, 0.9 - 0.02 * 0.5 * DT_S, True),
+        (0.5, -0.9, -0.9 + 0.02 * 0.5 * DT_S, False),
+    ],
+)
+def test_the_vertical_integral_stops_at_a_limit_of_thrust_unless_the_error_unwinds_it(error, before, after, at_max):
+    up = vertical(CONFIG, error, 0.0, before, 0.0, DT_S)
+    assert (up.at_max, up.at_min) == (at_max, not at_max)
+    assert up.integral == pytest.approx(after)
+    assert abs(error) < 2.0 or up.thrust == (0.9 if at_max else 0.1)
 
 
 def test_the_vertical_integral_is_never_larger_than_the_thrust():
@@ -66,11 +61,8 @@ def test_the_vertical_thrust_takes_the_integral_of_before_this_step():
 def test_the_horizontal_limit_is_the_tilt_at_hover_and_the_rest_of_the_thrust_near_full():
     assert horizontal_limit(CONFIG, 0.45) == pytest.approx(0.45 * math.tan(math.radians(35)))
     assert horizontal_limit(CONFIG, 0.85) == pytest.approx(math.sqrt(0.9**2 - 0.85**2))
-
-
-def test_the_horizontal_limit_is_zero_at_full_vertical_thrust_and_where_rounding_goes_past_it():
     assert horizontal_limit(CONFIG, 0.9) == 0.0
-    assert horizontal_limit(CONFIG, math.nextafter(0.9, 1.0)) == 0.0
+    assert horizontal_limit(CONFIG, math.nextafter(0.9, 1.0)) == 0.0, "rounding goes past it"
 
 
 def test_cut_horizontal_thrust_keeps_its_direction():

@@ -20,12 +20,12 @@ from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, DISTURBANCE_
 from support.examples import thinned
 from support.table import each
 
-STEP_S = 0.002
+STEP_S = 0.004
 OBSERVER_S = DISTURBANCE_TIME_S
 
 
 def grows(kp: float, lag_s: float, attitude_lag_s: float, assumed_s: float, true_s: float) -> bool:
-    """Whether a nudge grows: Euler steps of 2 ms, a second-order vehicle behind a pure delay."""
+    """Whether a nudge grows: Euler steps of 4 ms, a second-order vehicle behind a pure delay."""
     horizon_s = assumed_s
     taps = round(horizon_s / STEP_S)
     ages = (np.arange(taps) + 0.5) * STEP_S

@@ -9,16 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.control import (
-    AxisGains,
-    ControlConfig,
-    Estimate,
-    Memory,
-    Reference,
-    Saturation,
-    step,
-    velocity_step,
-)
+from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, Saturation, step, velocity_step
 from skygcs.core.control.trace import (
     COLUMNS,
     COLUMNS_1,
@@ -241,7 +232,7 @@ def test_anything_at_all_is_a_trace_or_a_trace_error(texts: list[str]) -> None:
             assert 1 <= error.line <= len(lines) + 1
 
 
-@pytest.mark.parametrize(
+@each(
     ("lines", "reason"),
     [
         ([], "no line of columns"),

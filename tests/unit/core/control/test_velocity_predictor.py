@@ -24,6 +24,7 @@ from skygcs.core.control.velocity_predictor import (
     Timing,
     predicted_setpoint,
 )
+from support.examples import thinned
 from support.table import each
 
 LAW = ControlConfig()
@@ -123,7 +124,7 @@ def timing(now: float, age_s: float = 0.05, round_trip_s: float = 0.8) -> Timing
     return Timing(now, age_s, round_trip_s, HOLD_S)
 
 
-@each("delay_s", [0.05, 0.2, 0.4, 0.8])
+@each("delay_s", thinned([0.05, 0.2, 0.4, 0.8], 2, turn=1))
 def test_a_moving_reference_is_followed_as_well_over_any_delay(delay_s: float) -> None:
     assert rms(Flight(delay_s).fly(swinging, 60.0)) < 0.15
 

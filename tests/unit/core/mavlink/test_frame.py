@@ -6,12 +6,13 @@ import random
 from typing import Any
 
 import pytest
+from fastcrc import crc16
 from pymavlink.dialects.v20 import all as mavlink
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, check, encode, encode_payload
-from skygcs.core.mavlink.header import frame_size
+from skygcs.core.mavlink.header import frame_size, mcrf4xx
 from skygcs.core.mavlink.parser import FrameParser
 from support.frames import dialect, frame, heartbeat, random_values, unknown_frame
 
@@ -123,6 +124,13 @@ def test_frame_size_reads_the_header_and_needs_all_of_it() -> None:
         header = 10 if data[0] == 0xFD else 6
         assert [frame_size(data[:n]) for n in range(header)] == [0] * header
     assert frame_size(b"\x00" * 20) == 0
+
+
+def test_the_checksum_is_that_of_a_compiled_library() -> None:
+    source = random.Random(1)
+    for size in (*range(40), 280):
+        data = source.randbytes(size)
+        assert mcrf4xx(data) == mcrf4xx(bytearray(data)) == crc16.mcrf4xx(data)
 
 
 def test_check_tells_good_from_bad_from_unknown() -> None:

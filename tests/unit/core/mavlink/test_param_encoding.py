@@ -118,8 +118,8 @@ def test_the_capability_decides_and_else_the_autopilot(
     assert encoding_of(autopilot, capabilities) is expected
 
 
-@pytest.mark.parametrize("bits", [0x7FC00000, 0x7F800000, 0xFF800000], ids=["nan", "inf", "-inf"])
-@pytest.mark.parametrize("type_", [ParamType.REAL32, ParamType.INT32, ParamType.UINT8])
+@each("bits", [0x7FC00000, 0x7F800000, 0xFF800000])
+@each("type_", [ParamType.REAL32, ParamType.INT32, ParamType.UINT8])
 def test_what_is_no_number_is_none_to_reckon_with(bits: int, type_: ParamType) -> None:
     assert Param("P", from_bits(bits, type_, Encoding.C_CAST), type_).number is None
 

@@ -168,12 +168,8 @@ def test_a_plan_sets_what_differs_switches_first_and_the_system_id_last() -> Non
     assert made.skipped == (("COMPASS_OFS_X", "calibration"), ("STAT_BOOTCNT", "statistics"))  # type: ignore[attr-defined]
 
 
-def test_what_is_of_one_vehicle_alone_is_left_unless_asked_for() -> None:
-    made = apply("SYSID_THISMAV,7\nCOMPASS_OFS_X,5\n")
-    assert made.changes == ()  # type: ignore[attr-defined]
-
-
-def test_a_value_its_type_cannot_hold_is_a_problem_with_its_line() -> None:
+def test_what_is_of_one_vehicle_alone_is_left_and_a_value_its_type_cannot_hold_is_a_problem_with_its_line() -> None:
+    assert apply("SYSID_THISMAV,7\nCOMPASS_OFS_X,5\n").changes == ()  # type: ignore[attr-defined]
     made = apply("RTL_ALT,1500\nFENCE_ENABLE,0.5\n")
     assert made.problems == ("line 2: FENCE_ENABLE: 0.5 is not whole; the parameter is INT8",)  # type: ignore[attr-defined]
 

@@ -87,7 +87,7 @@ def test_points_and_shapes_are_for_as_many_vehicles() -> None:
         (WantedFormation("current", points_m=((0.0, 0.0, 0.0),)), "points are for the formation 'points'"),
         (WantedFormation("star"), "no formation 'star'"),
         (WantedFormation("current", scale=math.nan), "scale of nan"),
-        (WantedFormation("current", yaw_rad=math.inf), "no angle"),
+        (WantedFormation("current", yaw_rad=math.inf), "not an angle"),
         (WantedFormation("current", (math.nan, 0.0, 0.0)), "not within"),
     ],
 )

@@ -100,7 +100,7 @@ def test_speed_changes_hold_for_the_legs_that_follow_within_the_limits() -> None
 @each(
     ("items", "words"),
     [
-        ([item(TAKEOFF), item(2000)], "item 2: IMAGE_START_CAPTURE is no part of a path.*fly it as a mission"),
+        ([item(TAKEOFF), item(2000)], "item 2: IMAGE_START_CAPTURE is not a part of a path.*fly it as a mission"),
         ([item(TAKEOFF), item(177)], "item 2: DO_JUMP"),
         ([item(TAKEOFF), item(9999)], "item 2: command 9999"),
         ([item(TAKEOFF), item(WAYPOINT, 5), item(TAKEOFF)], "item 3: is a take-off in the middle"),

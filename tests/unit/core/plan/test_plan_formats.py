@@ -138,7 +138,7 @@ def test_a_log_may_have_clock_times() -> None:
 @each(
     ("row", "words"),
     [
-        ("0,95,8.5,0", "95, 8.5 is no place on earth"),
+        ("0,95,8.5,0", "95, 8.5 is not a place on earth"),
         ("0,47.4,9.99,0", "from the origin"),
         ("soon,47.4,8.5,0", "time is not a number"),
         ("0,47.4,8.5,", "alt is not a number"),

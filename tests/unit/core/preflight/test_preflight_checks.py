@@ -329,6 +329,7 @@ def test_every_parameter_a_check_looks_at_is_asked_for(family: Family) -> None:
 FAMILIES: tuple[Family, ...] = ("px4", "ardupilot")
 QUADPLANE = abilities_of("ardupilot", VehicleClass.VTOL)
 PLANE = abilities_of("ardupilot", VehicleClass.PLANE)
+PX4_COPTER = abilities_of("px4", VehicleClass.COPTER)
 
 
 @each(
@@ -361,7 +362,10 @@ def test_planes_of_one_fleet_are_offered_return_heights_by_their_own_parameters(
 @each(
     ("able", "answers", "verdict", "text"),
     [
-        (PLANE, {"RTL_AUTOLAND": 0}, Verdict.PASS, "at home it circles above its home (RTL_AUTOLAND 0)"),
+        (PLANE, {"RTL_AUTOLAND": 0}, Verdict.PASS, "on a return it circles above its home (RTL_AUTOLAND 0)"),
+        (PX4_COPTER, {"RTL_TYPE": 0, "RTL_LAND_DELAY": 0.0}, Verdict.PASS, "on a return it lands and disarms"),
+        (PX4_COPTER, {"RTL_TYPE": 0, "RTL_LAND_DELAY": -1.0}, Verdict.FAIL, "on a return it holds above its home"),
+        (PX4_COPTER, {"RTL_TYPE": 1, "RTL_LAND_DELAY": -1.0}, Verdict.FAIL, "without one it holds above its home"),
         (
             PLANE,
             {"RTL_AUTOLAND": 1},
@@ -386,7 +390,8 @@ def test_how_a_return_ends_is_shown_where_parameters_decide_it(
     finding = settings.return_end(seen, WANTED)
     assert finding.verdict is verdict and text in finding.text, finding
     if verdict is Verdict.FAIL:
-        assert finding.severity is Severity.NOTE and "Q_RTL_MODE to 1" in finding.todo
+        todo = "RTL_LAND_DELAY to 0" if able is PX4_COPTER else "Q_RTL_MODE to 1"
+        assert finding.severity is Severity.NOTE and todo in finding.todo
     assert settings.return_end(facts(), WANTED).verdict is Verdict.SKIPPED
 
 

@@ -42,8 +42,12 @@ def outcome_of(exchange: CommandProtocol) -> Outcome:
     return exchange.outcome
 
 
-def test_an_accepted_command_ends_at_once() -> None:
-    exchange = started()
+@pytest.fixture
+def exchange() -> CommandProtocol:
+    return started()
+
+
+def test_an_accepted_command_ends_at_once(exchange: CommandProtocol) -> None:
     assert exchange.on_ack(ACCEPTED, 100.3) == (Finish(),)
     outcome = outcome_of(exchange)
     assert (outcome.ok, outcome.result, outcome.attempts) == (True, "accepted", 1)
@@ -74,8 +78,7 @@ def test_if_the_second_answer_is_lost_the_first_one_counts() -> None:
     assert outcome_of(exchange).result == "accepted" and exchange.attempts == 1
 
 
-def test_silence_is_repeated_with_the_confirmation_count_and_then_a_timeout() -> None:
-    exchange = started()
+def test_silence_is_repeated_with_the_confirmation_count_and_then_a_timeout(exchange: CommandProtocol) -> None:
     now, sent = 100.0, []
     while not exchange.done:
         assert exchange.deadline is not None
@@ -124,15 +127,13 @@ def test_odd_results_are_told_in_words(result: int, word: str, said: str) -> Non
     assert said in outcome_of(exchange).message
 
 
-def test_a_refusal_is_not_repeated_while_it_settles() -> None:
-    exchange = started()
+def test_a_refusal_is_not_repeated_while_it_settles(exchange: CommandProtocol) -> None:
     exchange.on_ack(Ack(400, 4), 100.9)
     assert exchange.on_timer(101.0) == ()
     assert exchange.attempts == 1
 
 
-def test_a_second_ack_does_not_turn_a_refusal_round() -> None:
-    exchange = started()
+def test_a_second_ack_does_not_turn_a_refusal_round(exchange: CommandProtocol) -> None:
     exchange.on_timer(101.0)
     exchange.on_ack(Ack(400, 4), 101.1)
     assert exchange.on_ack(ACCEPTED, 101.2) == ()
@@ -141,8 +142,7 @@ def test_a_second_ack_does_not_turn_a_refusal_round() -> None:
     assert exchange.outstanding == 0
 
 
-def test_progress_stops_the_repeats_and_is_reported() -> None:
-    exchange = started()
+def test_progress_stops_the_repeats_and_is_reported(exchange: CommandProtocol) -> None:
     assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=20), 100.5) == (ProgressReport(20),)
     assert exchange.on_timer(103.0) == ()
     assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=255), 105.0) == (ProgressReport(None),)
@@ -150,16 +150,14 @@ def test_progress_stops_the_repeats_and_is_reported() -> None:
     assert outcome_of(exchange).attempts == 1
 
 
-def test_progress_that_stops_is_a_timeout_that_says_how_far_it_came() -> None:
-    exchange = started()
+def test_progress_that_stops_is_a_timeout_that_says_how_far_it_came(exchange: CommandProtocol) -> None:
     exchange.on_ack(Ack(400, IN_PROGRESS, progress=40), 100.5)
     assert exchange.on_timer(100.5 + WORKING_SILENCE_S) == (Finish(),)
     assert outcome_of(exchange).result == "timeout"
     assert "40 %" in outcome_of(exchange).message
 
 
-def test_progress_without_end_is_given_up() -> None:
-    exchange = started()
+def test_progress_without_end_is_given_up(exchange: CommandProtocol) -> None:
     now = 100.0
     while not exchange.done and now < 1000:
         now += 1.0
@@ -170,8 +168,7 @@ def test_progress_without_end_is_given_up() -> None:
     assert now <= 100 + 1 + WORKING_LIMIT_S + 1
 
 
-def test_an_ack_of_another_command_changes_nothing() -> None:
-    exchange = started()
+def test_an_ack_of_another_command_changes_nothing(exchange: CommandProtocol) -> None:
     assert exchange.on_ack(Ack(176, 0), 100.1) == ()
     assert exchange.state is CommandState.WAITING
 
@@ -182,23 +179,20 @@ def test_a_broadcast_counts_as_the_first_transmission() -> None:
     assert exchange.on_timer(6.0) == (Transmit(1),)
 
 
-def test_it_can_be_stopped_once() -> None:
-    exchange = started()
+def test_it_can_be_stopped_once(exchange: CommandProtocol) -> None:
     assert exchange.stop(101.0, "lost", "the vehicle was lost") == (Finish(),)
     assert exchange.stop(102.0, "cancelled", "x") == ()
     assert outcome_of(exchange).result == "lost"
     assert exchange.on_ack(ACCEPTED, 103.0) == ()
 
 
-def test_it_knows_how_many_acks_may_still_come() -> None:
-    exchange = started()
+def test_it_knows_how_many_acks_may_still_come(exchange: CommandProtocol) -> None:
     exchange.on_timer(101.0)
     exchange.on_ack(ACCEPTED, 101.1)
     assert exchange.outstanding == 1
 
 
-def test_texts_are_bounded_and_not_repeated() -> None:
-    exchange = started()
+def test_texts_are_bounded_and_not_repeated(exchange: CommandProtocol) -> None:
     for n in range(50):
         exchange.on_text(f"text {n}")
         exchange.on_text(f"text {n}")
@@ -207,8 +201,7 @@ def test_texts_are_bounded_and_not_repeated() -> None:
 
 
 @each(
-    ("target", "ours"),
-    [((0, 0), True), ((255, 25), True), ((255, 0), True), ((255, 190), False), ((254, 25), False)],
+    ("target", "ours"), [((0, 0), True), ((255, 25), True), ((255, 0), True), ((255, 190), False), ((254, 25), False)]
 )
 def test_an_ack_for_another_ground_station_is_not_ours(target: tuple[int, int], ours: bool) -> None:
     assert Ack(400, 0, 0, *target).is_for(255, 25) is ours

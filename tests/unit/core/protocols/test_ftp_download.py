@@ -15,6 +15,7 @@ from skygcs.core.protocols.file_download import MAX_SESSIONS, MAX_TRIES, OPEN_TR
 from support.examples import examples
 from support.ftp_server import FtpServer, FtpWire
 from support.param_vehicle import Network
+from support.table import each
 
 BAD = Network(loss=0.2, duplicate=0.2, delay_s=(0.0, 2.0))
 LIMIT = 100_000
@@ -32,8 +33,8 @@ def opcodes(wire: FtpWire) -> list[int]:
     return [packet.opcode for _, packet in wire.sent]
 
 
-@pytest.mark.parametrize("burst", [False, True])
-@pytest.mark.parametrize("size", [0, 1, 238, 239, 240, 478, 5000, 120 * 239])
+@each("burst", [False, True])
+@each("size", [0, 1, 238, 239, 240, 478, 5000, 120 * 239])
 def test_it_comes_whole_and_its_session_is_closed(size: int, burst: bool) -> None:
     server = FtpServer(content(size))
     wire = FtpWire(server, Network())
@@ -53,8 +54,8 @@ def test_a_burst_is_one_request_and_another_for_the_next_part() -> None:
     assert opcodes(parts).count(Op.BURST_READ_FILE) == 3 and Op.READ_FILE not in opcodes(parts)
 
 
-@pytest.mark.parametrize("burst", [False, True])
-@pytest.mark.parametrize("seed", range(60))
+@each("burst", [False, True])
+@each("seed", range(60))
 def test_exact_over_a_bad_network(seed: int, burst: bool) -> None:
     """20 % lost each way, 20 % doubled, each packet up to 2 s late and so overtaken. Seeds instead of a search: one in
     some ten thousand loses all eight requests to open the file."""
@@ -94,7 +95,7 @@ def test_a_vehicle_that_says_nothing_is_given_up_soon() -> None:
     assert len({p.seq for _, p in wire.sent if p.opcode == Op.OPEN_FILE_RO}) == 1  # else it would open another session
 
 
-@pytest.mark.parametrize(
+@each(
     ("error", "result", "words"),
     [
         (Error.FILE_NOT_FOUND, "unknown", "it has no such file"),
@@ -131,7 +132,7 @@ def test_one_that_is_always_lost_is_given_up() -> None:
     assert (outcome.ok, outcome.result) == (False, "incomplete") and "lost 5 times" in outcome.message
 
 
-@pytest.mark.parametrize("burst", [False, True])
+@each("burst", [False, True])
 def test_one_that_is_too_large_is_given_up(burst: bool) -> None:
     outcome = FtpWire(FtpServer(content(5000)), Network()).run(download(burst=burst, max_bytes=1000))
     assert (outcome.ok, outcome.result, outcome.data) == (False, "too_large", b"")

@@ -81,12 +81,11 @@ def test_a_download_on_a_good_link_asks_for_each_item_once(family: str) -> None:
     assert [m for m, _ in rig.sent] == ["MISSION_REQUEST_LIST", *["MISSION_REQUEST_INT"] * 5, "MISSION_ACK"]
 
 
-@each("seed", range(3))
-@each("network", NETWORKS)
+@each("seed, network", enumerate(NETWORKS))
 @each("family", VEHICLES)
-def test_two_hundred_items_go_up_and_down_exactly_over_a_bad_network(family: str, network: str, seed: int) -> None:
+def test_many_items_go_up_and_down_exactly_over_a_bad_network(family: str, network: str, seed: int) -> None:
     vehicle = VEHICLES[family](items=mission(7, 1000))
-    items = mission(200)
+    items = mission(130)
     up = MissionRig(upload(items, vehicle), vehicle, NETWORKS[network], seed).run()
     assert outcome_of(up).ok, outcome_of(up).message
     assert vehicle.items == items

@@ -39,7 +39,7 @@ class Wire:
 class Field:
     """A vehicle with logs, a machine, and a bad network between them."""
 
-    def __init__(self, *, px4: bool, loss: float = 0.0, seed: int = 1, sizes: Sequence[int] = (45_000, 123_457, 8)):
+    def __init__(self, *, px4: bool, loss: float = 0.0, seed: int = 1, sizes: Sequence[int] = (45_000, 93_457, 8)):
         self.wire = Wire()
         wire: Any = self.wire
         self.vehicle = OnboardLogs(wire, 7, px4=px4, unix_s=1_700_000_000)
@@ -97,7 +97,7 @@ class Field:
 @each("px4", [True, False])
 @each("loss", [0.0, 0.05, 0.3])
 def test_lists_and_logs_are_whole_and_exact(px4: bool, loss: float) -> None:
-    for seed in range(4):
+    for seed in range(2):
         field = Field(px4=px4, loss=loss, seed=seed)
         entries = field.listed()
         assert sorted(entries) == [field.first, field.first + 1, field.first + 2]

@@ -81,13 +81,7 @@ class Radio:
 
 
 def command(target: int = 3, command: int = 22, confirmation: int = 0, **params: float) -> dict[str, Any]:
-    return {
-        "target_system": target,
-        "target_component": 1,
-        "command": command,
-        "confirmation": confirmation,
-        **params,
-    }
+    return {"target_system": target, "target_component": 1, "command": command, "confirmation": confirmation, **params}
 
 
 FORCED_DISARM = {"command": 400, "param2": 21196.0}
@@ -105,11 +99,15 @@ def test_an_operators_order_goes_as_an_order_and_a_request_behind_it(version: in
     for asked in (512, 519, 520):
         assert radio.offer("COMMAND_LONG", **command(command=asked)).priority is Priority.FORWARDED
     storage_format = radio.offer("COMMAND_LONG", **command(target=6, command=526))
-    assert storage_format.priority is Priority.COMMAND, "STORAGE_FORMAT erases a card: it is no request"
+    assert storage_format.priority is Priority.COMMAND, "STORAGE_FORMAT erases a card: it is not a request"
 
 
-def test_more_orders_to_one_vehicle_than_a_person_gives_wait_like_anything_else_in_their_order() -> None:
-    radio = Radio()
+@pytest.fixture
+def radio() -> Radio:
+    return Radio()
+
+
+def test_more_orders_to_one_vehicle_than_a_person_gives_wait_like_anything_else_in_their_order(radio: Radio) -> None:
     given = [radio.offer("COMMAND_LONG", **command(param1=float(n))).priority for n in range(1, 6)]
     assert given == [Priority.COMMAND] * int(PER_VEHICLE_BURST) + [Priority.FORWARDED] * 2
     assert radio.offer("COMMAND_LONG", **command(target=4)).priority is Priority.COMMAND, "others have their own rate"
@@ -122,8 +120,7 @@ def test_more_orders_to_one_vehicle_than_a_person_gives_wait_like_anything_else_
     assert radio.offer("COMMAND_LONG", **command(param1=10.0)).priority is Priority.COMMAND
 
 
-def test_a_repeated_order_takes_its_own_place_and_off_between_two_ons_is_kept() -> None:
-    radio = Radio()
+def test_a_repeated_order_takes_its_own_place_and_off_between_two_ons_is_kept(radio: Radio) -> None:
     for confirmation in range(4):
         radio.offer("COMMAND_LONG", **command(confirmation=confirmation))
     assert radio.counts() == {"sent": 4, "repeated": 3}
@@ -134,8 +131,7 @@ def test_a_repeated_order_takes_its_own_place_and_off_between_two_ons_is_kept() 
     assert on_off_on == [b"\0\0\x80?", b"", b"\0\0\x80?"]
 
 
-def test_the_same_of_parameters_that_are_set() -> None:
-    radio = Radio()
+def test_the_same_of_parameters_that_are_set(radio: Radio) -> None:
     for value in (1.0, 2.0, 1.0, 1.0):
         radio.offer("PARAM_SET", target_system=3, param_id=b"X", param_value=value)
     assert [raw[10:14] for raw, _ in radio.sent()] == [b"\0\0\x80?", b"\0\0\0@", b"\0\0\x80?"]
@@ -159,8 +155,7 @@ def test_who_stops_motors_in_the_air_goes_before_all_and_is_never_refused(name: 
     assert radio.offer(name, target_system=3, command=400, param1=1.0, param2=21196.0).outcome == "refuse", "it arms"
 
 
-def test_an_order_after_a_stop_does_not_overtake_it() -> None:
-    radio = Radio()
+def test_an_order_after_a_stop_does_not_overtake_it(radio: Radio) -> None:
     for _ in range(30):  # each finds the one before gone
         last = radio.offer("COMMAND_LONG", **{**command(), **FORCED_DISARM})
         if last.priority is not Priority.FORWARDED:
@@ -187,8 +182,7 @@ def test_of_a_stream_the_newest_waits_for_each_vehicle_and_source(name: str) -> 
     assert all(dialect().find(name).unpack(raw[10 : 10 + raw[1]])[varied] == 30 for raw in sent)
 
 
-def test_others_heartbeats_go_seldom_and_those_of_our_own_system_not_at_all() -> None:
-    radio = Radio()
+def test_others_heartbeats_go_seldom_and_those_of_our_own_system_not_at_all(radio: Radio) -> None:
     radio.traffic.own_sysid = 255
     for _ in range(60):
         radio.now += 1.0
@@ -205,8 +199,7 @@ def test_others_heartbeats_go_seldom_and_those_of_our_own_system_not_at_all() ->
 # -- rates
 
 
-def test_clock_messages_are_thinned_per_source_and_it_is_told_how_fast_they_came() -> None:
-    radio = Radio()
+def test_clock_messages_are_thinned_per_source_and_it_is_told_how_fast_they_came(radio: Radio) -> None:
     for _ in range(600):
         radio.now += 0.1
         radio.offer("TIMESYNC", MAVROS, tc1=int(radio.now * 1e9))
@@ -229,8 +222,12 @@ def test_some_at_once_are_no_rate_to_tell_of(number: int) -> None:
     assert not radio.traffic.notes
 
 
-def test_a_rate_that_is_told_counts_those_that_go_too() -> None:
+def test_a_rate_that_is_told_counts_those_that_go_too_and_a_usual_heartbeat_is_thinned_without_a_word() -> None:
     radio = Radio()
+    for _ in range(30):
+        radio.now += 1.0
+        radio.offer("HEARTBEAT", QGC, type=6)
+    assert radio.counts(QGC)["thinned"] >= 14 and not radio.traffic.notes
     for n in range(20):
         radio.now += 1.0
         radio.offer("PING", time_usec=n + 1)
@@ -238,17 +235,7 @@ def test_a_rate_that_is_told_counts_those_that_go_too() -> None:
     assert note.hz == pytest.approx(1.0, rel=0.2)
 
 
-def test_a_stations_usual_heartbeat_is_thinned_without_a_word() -> None:
-    radio = Radio()
-    for _ in range(30):
-        radio.now += 1.0
-        radio.offer("HEARTBEAT", QGC, type=6)
-    assert radio.counts(QGC)["thinned"] >= 14
-    assert not radio.traffic.notes
-
-
-def test_a_dialogue_is_slowed_by_what_its_answers_cost_and_loses_nothing() -> None:
-    radio = Radio()
+def test_a_dialogue_is_slowed_by_what_its_answers_cost_and_loses_nothing(radio: Radio) -> None:
     for _ in range(2):  # requested once more: nothing waits twice
         for index in range(30):
             radio.offer("PARAM_REQUEST_READ", target_system=3, param_index=index)
@@ -264,8 +251,7 @@ def test_a_dialogue_is_slowed_by_what_its_answers_cost_and_loses_nothing() -> No
     assert radio.now == pytest.approx((30 * size - radio.traffic.budget.burst) / radio.traffic.budget.rate, rel=0.1)
 
 
-def test_a_flood_of_requests_loses_its_own_oldest() -> None:
-    radio = Radio()
+def test_a_flood_of_requests_loses_its_own_oldest(radio: Radio) -> None:
     for index in range(200):
         radio.offer("PARAM_REQUEST_READ", target_system=3, param_index=index)
     radio.offer("PARAM_REQUEST_READ", MAVROS, target_system=3, param_index=1)
@@ -312,8 +298,7 @@ def test_nobody_else_sets_the_streams_that_are_planned(name: str, values: dict[s
     assert Radio(ThirdPartyRules(streams="allow")).offer(name, target_system=3, **values).outcome == "send"
 
 
-def test_logs_are_not_downloaded_unless_the_fleet_file_says_so() -> None:
-    radio = Radio()
+def test_logs_are_not_downloaded_unless_the_fleet_file_says_so(radio: Radio) -> None:
     for name in ("LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_ERASE"):
         assert radio.offer(name, target_system=3).outcome == "refuse"
     assert radio.counts() == {"sent": 0, "refused_logs": 3}
@@ -325,8 +310,7 @@ def file_request(system: int, opcode: int = 15, seq: int = 0) -> dict[str, Any]:
     return {"target_system": system, "target_component": 1, "payload": [seq, 0, 0, opcode, 0]}
 
 
-def test_one_vehicle_at_a_time_sends_files_for_as_long_as_something_of_them_passes() -> None:
-    radio = Radio()
+def test_one_vehicle_at_a_time_sends_files_for_as_long_as_something_of_them_passes(radio: Radio) -> None:
     assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome == "send"
     for _ in range(20):  # a burst: nothing goes up, and parts come down
         radio.now += 2.0
@@ -343,8 +327,7 @@ def test_one_vehicle_at_a_time_sends_files_for_as_long_as_something_of_them_pass
     assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1, seq=9)).outcome == "refuse"
 
 
-def test_a_file_without_end_gives_way_to_who_asks_after_a_while() -> None:
-    radio = Radio()
+def test_a_file_without_end_gives_way_to_who_asks_after_a_while(radio: Radio) -> None:
     while radio.now < LONGEST_FILE_S:
         assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome != "refuse"
         radio.now += 2.0
@@ -359,8 +342,7 @@ def test_files_of_all_or_of_none() -> None:
     assert denied.counts() == {"sent": 0, "refused_files": 1}
 
 
-def test_corrections_are_somebody_elses() -> None:
-    radio = Radio()
+def test_corrections_are_somebody_elses(radio: Radio) -> None:
     assert radio.offer("GPS_RTCM_DATA", len=3, data=[1, 2, 3]).outcome == "correction"
     assert radio.counts() == {"sent": 0, "corrections": 1}
 
@@ -368,8 +350,7 @@ def test_corrections_are_somebody_elses() -> None:
 # -- parameter lists
 
 
-def test_one_list_at_a_time_and_the_next_when_it_is_through() -> None:
-    radio = Radio()
+def test_one_list_at_a_time_and_the_next_when_it_is_through(radio: Radio) -> None:
     ruled = [radio.offer("PARAM_REQUEST_LIST", target_system=v, target_component=1).outcome for v in (1, 2, 3)]
     assert ruled == ["send", "wait", "wait"]
     assert radio.offer("PARAM_REQUEST_LIST", target_system=1, target_component=1).outcome == "wait"
@@ -391,8 +372,7 @@ def test_a_list_of_all_vehicles_at_once_is_refused() -> None:
     assert {allowed.offer("PARAM_REQUEST_LIST", target_system=v).outcome for v in range(9)} == {"send"}
 
 
-def test_who_has_gone_is_not_waited_for() -> None:
-    radio = Radio()
+def test_who_has_gone_is_not_waited_for(radio: Radio) -> None:
     for vehicle in (1, 2, 3):
         source = QGC if vehicle < 3 else MAVROS
         radio.offer("PARAM_REQUEST_LIST", source, target_system=vehicle)
@@ -406,8 +386,7 @@ def test_who_has_gone_is_not_waited_for() -> None:
 # -- sources
 
 
-def test_more_sources_than_are_told_apart_share_one_rate() -> None:
-    radio = Radio()
+def test_more_sources_than_are_told_apart_share_one_rate(radio: Radio) -> None:
     for number in range(MAX_SOURCES * 3):
         radio.offer("PING", number << 8 | 7, seq=number)
     told = radio.traffic.status(0.0)["sources"]
@@ -419,8 +398,7 @@ def test_more_sources_than_are_told_apart_share_one_rate() -> None:
     assert radio.counts(250 << 8)["sent"] == 1, "who has been silent makes room"
 
 
-def test_in_the_queue_sources_are_served_alike() -> None:
-    radio = Radio()
+def test_in_the_queue_sources_are_served_alike(radio: Radio) -> None:
     for index in range(8):
         for vehicle in range(1, 9):
             radio.offer("MISSION_SET_CURRENT", QGC, target_system=vehicle, seq=index)

@@ -10,7 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyrtcm import ERR_IGNORE, RTCMReader, calc_crc24q
 
+from skygcs.core.radio_link import rtcm
 from skygcs.core.radio_link.rtcm import (
+    CHECKED_PER_BYTE,
+    CHECKED_SAVED,
     MAX_FRAME_BYTES,
     MAX_MESSAGE_BYTES,
     RtcmContent,
@@ -128,9 +131,23 @@ def test_a_damaged_frame_is_counted_and_left_out() -> None:
 @given(st.lists(st.binary(max_size=3000), max_size=6))
 def test_less_than_a_frame_is_held_whatever_comes(chunks: list[bytes]) -> None:
     deframer = RtcmDeframer()
-    for chunk in [*chunks, b"\xd3" * 3000, b"\xd3\x03\xff" * 1000]:
+    for chunk in [*chunks, b"\xd3" * 1100, b"\xd3\x03\xff" * 400]:
         deframer.feed(chunk)
         assert deframer.held_bytes < MAX_FRAME_BYTES
+
+
+def test_a_stream_of_false_starts_costs_no_more_than_a_sound_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[int] = []
+    monkeypatch.setattr(rtcm, "crc24q", lambda frame: checked.append(len(frame)) or crc24q(frame))
+    for false in (b"\xd3\x03", b"\xd3\x03\xff", b"\xd3\x00"):
+        deframer = RtcmDeframer()
+        checked.clear()
+        stream = false * 30_000
+        for at in range(0, len(stream), 4096):
+            deframer.feed(stream[at : at + 4096])
+        assert sum(checked) <= CHECKED_PER_BYTE * len(stream) + CHECKED_SAVED
+        deframer.feed(bytes(MAX_FRAME_BYTES))
+        assert deframer.feed(STANDARD_1005) == [STANDARD_1005]  # it finds what comes after that
 
 
 def reassembled(values: list[dict[str, int | bytes]]) -> bytes | None:

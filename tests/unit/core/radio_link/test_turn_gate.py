@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -34,8 +35,12 @@ def due(lists: ParameterListGate, now: float) -> int | None:
     return None if frame is None else frame.target
 
 
-def test_a_list_is_through_when_every_index_was_seen_in_any_order_and_more_than_once() -> None:
-    lists = ParameterListGate()
+@pytest.fixture
+def lists() -> ParameterListGate:
+    return ParameterListGate()
+
+
+def test_a_list_is_through_when_every_index_was_seen_in_any_order_and_more_than_once(lists: ParameterListGate) -> None:
     assert lists.ask(request(1), 0.0) == "send"
     assert lists.ask(request(2), 0.0) == "hold"
     for index in (2, 0, 2, 0, NO_INDEX, 7):
@@ -49,8 +54,7 @@ def test_a_list_is_through_when_every_index_was_seen_in_any_order_and_more_than_
     assert lists.finished == 1
 
 
-def test_a_list_of_all_components_is_the_autopilots() -> None:
-    lists = ParameterListGate()
+def test_a_list_of_all_components_is_the_autopilots(lists: ParameterListGate) -> None:
     lists.ask(request(1, 0), 0.0)
     lists.heard(1, 1, 0, 1, 1.0)
     assert lists.ask(request(2), 1.0) == "send"
@@ -70,8 +74,7 @@ def test_a_list_that_ceases_ends_after_a_while_and_lets_the_next_go(values: int)
     assert (lists.finished, lists.unfinished) == (0, 1)
 
 
-def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever() -> None:
-    lists = ParameterListGate()
+def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever(lists: ParameterListGate) -> None:
     lists.ask(request(2), 0.0)
     lists.ask(request(1), 0.0)
     now, sent = 0.0, 0
@@ -97,8 +100,7 @@ def test_a_request_that_waited_is_repeated_by_the_gate_as_its_sender_has_perhaps
     assert lists.status(2 * FIRST_VALUE_S)["unfinished"] == 2
 
 
-def test_a_request_that_waited_is_not_repeated_once_values_come() -> None:
-    lists = ParameterListGate()
+def test_a_request_that_waited_is_not_repeated_once_values_come(lists: ParameterListGate) -> None:
     lists.ask(request(1), 0.0)
     lists.ask(request(2), 0.0)
     assert due(lists, FIRST_VALUE_S) == 2
@@ -107,16 +109,14 @@ def test_a_request_that_waited_is_not_repeated_once_values_come() -> None:
     assert due(lists, FIRST_VALUE_S + RESEND_S) is None
 
 
-def test_once_values_come_repeats_are_not_sent() -> None:
-    lists = ParameterListGate()
+def test_once_values_come_repeats_are_not_sent(lists: ParameterListGate) -> None:
     lists.ask(request(1), 0.0)
     lists.heard(1, 1, 0, 900, 1.0)
     assert lists.ask(request(1), 1.0 + SILENCE_S - 0.1) == "repeat"
     assert lists.ask(request(1, source=7), 2.0) == "repeat", "the list comes to everybody"
 
 
-def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_ever() -> None:
-    lists = ParameterListGate()
+def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_ever(lists: ParameterListGate) -> None:
     lists.ask(request(1), 0.0)
     lists.ask(request(2), 0.0)
     now = 0.0
@@ -126,8 +126,7 @@ def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_eve
     assert now == LONGEST_LIST_S
 
 
-def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_turn() -> None:
-    lists = ParameterListGate()
+def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_turn(lists: ParameterListGate) -> None:
     for system in (1, 2, 3):
         lists.ask(request(system), 0.0)
     assert lists.ask(request(2, source=7), 1.0) == "repeat"
@@ -137,8 +136,7 @@ def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_
     assert (frame.target, frame.source) == (2, 7)
 
 
-def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all() -> None:
-    lists = ParameterListGate()
+def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all(lists: ParameterListGate) -> None:
     for system in (1, 2, 3):
         lists.ask(request(system), 0.0)
     assert lists.due(FIRST_VALUE_S, lambda source: False) is None
@@ -177,8 +175,7 @@ def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step
     assert set(sent) == asked
 
 
-def test_no_more_wait_than_there_can_be_vehicles() -> None:
-    lists = ParameterListGate()
+def test_no_more_wait_than_there_can_be_vehicles(lists: ParameterListGate) -> None:
     for system in range(1, 256):
         for component in (1, 2):
             lists.ask(request(system, component), 0.0)

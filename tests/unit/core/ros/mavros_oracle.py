@@ -5,8 +5,8 @@ mavros/src/plugins/sys_status.cpp, or a file of mavros_extras). The frames are t
 and lib/ftf_quaternion_utils.cpp.
 
 Messages are those that pymavlink decoded; nothing of skygcs is used. Every field that MAVROS sets is here; what is not
-is zero. Known differences (`docs/howto/ros.md`): stamps; the geoid, which is the receiver's in place of EGM96; and a
-global_position/local before its origin is known, which is 0.
+is zero. Known differences (`docs/reference/from-mavros.md`): stamps; the geoid, which is the receiver's in place of
+EGM96; and a global_position/local before its origin is known, which is 0.
 """
 
 from __future__ import annotations
@@ -193,10 +193,7 @@ class Mavros:
         return (
             known
             | dict.fromkeys(("charge", "capacity", "design_capacity"), NAN)
-            | {
-                "power_supply_status": 2,
-                "present": True,
-            }
+            | {"power_supply_status": 2, "present": True}
         )
 
     def estimator_status(self, m: Any) -> dict[str, Any]:  # sys_status: handle_estimator_status

@@ -11,6 +11,7 @@ import pytest
 from skygcs.core.ros import fleet_markers, fleet_messages
 from skygcs.core.ros.fleet_markers import LINE_POINTS, MOST_PATH_POINTS, MOST_TRAILS, TRAIL_POINTS, Trails, Turns
 from skygcs.core.ros.interfaces import ros2_interfaces
+from support.table import each
 
 NOW_NS = 1_700_000_000 * 10**9 + 5
 
@@ -82,7 +83,7 @@ def test_an_event_is_a_message() -> None:
     assert json.loads(made["data"]) == {"mode": "LAND"}
 
 
-@pytest.mark.parametrize(
+@each(
     "given",
     [
         {},

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from skygcs.core.ros.condition import LOG_LEVELS, log_entry, ros_mode
 from skygcs.core.ros.setpoints import SETPOINTS
 from skygcs.core.ros.topics import DEPTHS, LATCHED, TELEMETRY, Topic
+from support.table import each
 
 SENSOR, PLAIN, STATE, LAST = (False, False, 5), (True, False, 10), (True, True, 10), (True, True, 1)
 """(reliable, transient local, depth): rclcpp's SensorDataQoS, QoS(10), QoS(10).transient_local(), and LatchedStateQoS
@@ -121,7 +120,7 @@ def test_modes_have_mavros_names() -> None:
     assert ros_mode({"autopilot": APM, "type": BOAT, "base_mode": 1, "custom_mode": 4}) == "HOLD"
 
 
-@pytest.mark.parametrize("base_mode", [0x00, 0x04, 0xC0])
+@each("base_mode", [0x00, 0x04, 0xC0])
 def test_a_mode_without_a_custom_one_is_its_base_mode(base_mode: int) -> None:
     fields = {"autopilot": PX4, "type": COPTER, "base_mode": base_mode, "custom_mode": 6 << 16}
     assert ros_mode(fields) == {0: "MODE(0x 0)", 4: "MODE(0x 4)", 0xC0: "MODE(0xC0)"}[base_mode]

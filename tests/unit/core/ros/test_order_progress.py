@@ -21,6 +21,7 @@ from skygcs.core.ros.order_progress import (
     order_params,
 )
 from skygcs.runtime import order_runner
+from support.table import each
 
 
 def goal(order: Any, **fields: Any) -> dict[str, Any]:
@@ -49,7 +50,7 @@ def outcome(order: str, vehicle: str = "alpha", ok: bool = True, **more: Any) ->
     return {"kind": "command", "vehicle": vehicle, "data": {"order": order, "ok": ok, **more}}
 
 
-@pytest.mark.parametrize(
+@each(
     ("order", "fields", "params"),
     [
         ("land", {}, {}),
@@ -68,7 +69,7 @@ def test_a_goal_becomes_the_daemons_parameters(order: Any, fields: dict[str, Any
     assert order_params(order, goal(order, **fields)) == params
 
 
-@pytest.mark.parametrize(
+@each(
     ("order", "fields"),
     [
         ("takeoff", {"height_m": math.nan}),
@@ -152,7 +153,7 @@ def test_a_landing_ends_on_the_ground() -> None:
     assert going("land").on_state(state(**on_ground, armed=False), 103) == (SUCCEEDED, "landed and disarmed")
 
 
-@pytest.mark.parametrize("order", sorted(MOVING))
+@each("order", sorted(MOVING))
 def test_an_order_of_anybody_replaces_it(order: str) -> None:
     progress = going()
     assert progress.on_event(outcome(order, "bravo")) is None
@@ -176,7 +177,7 @@ def test_its_own_outcome_that_was_lost_hides_no_other_for_long() -> None:
     assert progress.on_event(outcome("goto")) == (ABORTED, "replaced: goto was ordered")
 
 
-@pytest.mark.parametrize(
+@each(
     ("seen", "ends"),
     [
         (["hold", "goto"], False),  # the hold was before it
@@ -218,7 +219,7 @@ def test_a_vehicle_that_is_disarmed_or_not_heard_ends_it() -> None:
     assert going().on_state(state(connected=False), 100.2) == (ABORTED, "the vehicle is not heard")
 
 
-@pytest.mark.parametrize(
+@each(
     ("control", "ends"),
     [
         ({"state": "flying", "reference": {"pos_enu_m": [3.0, 4.0, 10.0]}}, False),

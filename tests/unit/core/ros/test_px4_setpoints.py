@@ -13,6 +13,7 @@ from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.core.ros.px4_setpoints import OffboardControlMode, ack, is_for, service_call
 from skygcs.core.ros.services import RequestError
 from skygcs.core.ros.setpoints import Demand, LocalFrame, SetpointError
+from support.table import each
 
 PLACE = (43.7806, -79.4653, 180.0)
 FRAME = LocalFrame(Origin(*PLACE, x_heading_deg=EAST_DEG), PLACE, 180.0, 0.0)
@@ -69,7 +70,7 @@ def test_the_mode_decides_which_parts_count() -> None:
             demand(first, **everything)
 
 
-@pytest.mark.parametrize(
+@each(
     ("first", "more"),
     [
         ("position", {}),
@@ -120,7 +121,7 @@ def test_commands_are_mavros_services() -> None:
     assert (made["command"], made["result"], made["target_system"], made["target_component"]) == (22, 4, 1, 7)
 
 
-@pytest.mark.parametrize(
+@each(
     "wrong",
     [
         command(100_000),

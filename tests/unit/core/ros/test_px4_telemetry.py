@@ -16,6 +16,7 @@ from skygcs.core.ros.interfaces import PX4_RELEASES, Px4Release, ros2_interfaces
 from skygcs.core.ros.px4_setpoints import ACK_TYPE, PX4_INPUTS
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES, PX4_TELEMETRY, Px4Memory, px4_samples, versioned
 from skygcs.core.ros.stamps import EPOCH_US
+from support.table import each
 
 NOW = 1_700_000_000 * 10**9
 
@@ -140,7 +141,7 @@ def altitude_of(z: float, ref_alt: float, dist_bottom: float | None) -> dict[str
     return {"altitude_amsl": -z + ref_alt, "altitude_local": -z, **bottom}
 
 
-@pytest.mark.parametrize("flags", [0, *(1 << bit for bit in range(12)), 0x24, 0xFFF])
+@each("flags", [0, *(1 << bit for bit in range(12)), 0x24, 0xFFF])
 def test_what_is_valid_is_what_the_estimator_says(flags: int) -> None:
     """get_ekf_soln_status: bit 1 is isLocalHorizontalPositionValid, bit 2 is that of the vertical position or velocity,
     bit 4 isGlobalHorizontalPositionValid, bit 6 isTerrainEstimateValid; bit 5 isVerticalAidingActive, without which a
@@ -222,7 +223,7 @@ def test_a_battery_that_is_not_connected_is_not() -> None:
     assert not made("SYS_STATUS", system, Px4Memory(1))["battery_status"]["connected"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("armed", "system_status", "health", "passed"),
     [
         *((False, 3, 0, True), (False, 0, 1 << 28, False), (False, 2, 1 << 28, True), (False, 2, 0, False)),
@@ -238,7 +239,7 @@ def test_the_checks_before_arming(armed: bool, system_status: int, health: int, 
     assert made("HEARTBEAT", heartbeat, memory)["vehicle_status"]["pre_flight_checks_pass"] is passed
 
 
-@pytest.mark.parametrize(
+@each(
     ("main", "sub", "nav_state"),
     [(1, 0, 0), (2, 0, 1), (3, 0, 2), (4, 3, 4), (4, 4, 3), (4, 5, 5), (4, 6, 18), (4, 11, 23), (6, 0, 14), (9, 9, 31)],
 )
@@ -256,12 +257,7 @@ def test_a_status_is_completed_by_other_messages() -> None:
     px4_samples("EXTENDED_SYS_STATE", {"vtol_state": 1, "landed_state": 2}, NOW, memory)
     px4_samples(
         "SYS_STATUS",
-        {
-            "onboard_control_sensors_health": 1 << 28,
-            "voltage_battery": 0,
-            "current_battery": 0,
-            "battery_remaining": 0,
-        },
+        {"onboard_control_sensors_health": 1 << 28, "voltage_battery": 0, "current_battery": 0, "battery_remaining": 0},
         NOW,
         memory,
     )
@@ -298,7 +294,7 @@ def test_names_have_the_versions_of_each_release() -> None:
     assert names("1.18") == expected
 
 
-@pytest.mark.parametrize("release", PX4_RELEASES)
+@each("release", PX4_RELEASES)
 def test_every_release_takes_every_message_and_no_field_is_of_none(release: Px4Release) -> None:
     known = ros2_interfaces(release)
     everywhere: dict[str, set[str]] = {}

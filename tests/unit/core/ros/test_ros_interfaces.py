@@ -9,6 +9,7 @@ from skygcs.core.ros.interfaces import InterfaceError, dds_type_name, ros1_inter
 from skygcs.core.ros.services import ROS1_SERVICES, SERVICES
 from skygcs.core.ros.setpoints import SETPOINTS
 from skygcs.core.ros.topics import TELEMETRY
+from support.table import each
 
 ADD_TWO_INTS = "SRV: example_interfaces/AddTwoInts\nint64 a\nint64 b\n---\nint64 sum\n"
 
@@ -52,16 +53,13 @@ def test_messages_are_encoded_and_read() -> None:
         assert ros1_interfaces().ros1_definition(topic.type)[1]
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [{"no_such": 1}, {"header": {"stampp": {}}}, {"header": 3}, {"orientation_covariance": [1.0]}],
-)
+@each("fields", [{"no_such": 1}, {"header": {"stampp": {}}}, {"header": 3}, {"orientation_covariance": [1.0]}])
 def test_a_message_of_another_shape_is_refused(fields: dict[str, object]) -> None:
     with pytest.raises(InterfaceError):
         ros2_interfaces().encode("sensor_msgs/msg/Imu", fields)
 
 
-@pytest.mark.parametrize("number", [-1, 256, 2**40])
+@each("number", [-1, 256, 2**40])
 def test_a_number_that_its_field_does_not_take_is_refused(number: int) -> None:
     with pytest.raises(InterfaceError, match="mavros_msgs/msg/State"):
         ros2_interfaces().encode("mavros_msgs/msg/State", {"system_status": number})

@@ -13,6 +13,7 @@ from skygcs.core.ros import services
 from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
 from skygcs.core.ros.mission_list import MissionList
 from skygcs.core.ros.services import RequestError
+from support.table import each
 
 
 def waypoint(command: int, frame: int, x: float, y: float, z: float, **params: float) -> dict[str, Any]:
@@ -33,7 +34,7 @@ def test_waypoints_are_a_file_that_is_read_as_they_were() -> None:
         assert (plan.home is not None and plan.home.lat_deg == 43.0) is first
 
 
-@pytest.mark.parametrize("pushed", [[], [waypoint(16, 3, math.nan, 0, 0)], [waypoint(16, 3, 0, 0, 0)] * 2001])
+@each("pushed", [[], [waypoint(16, 3, math.nan, 0, 0)], [waypoint(16, 3, 0, 0, 0)] * 2001])
 def test_waypoints_that_are_none(pushed: list[dict[str, Any]]) -> None:
     with pytest.raises(RequestError):
         services.wpl_text(pushed, False)
@@ -177,7 +178,7 @@ def test_commands() -> None:
     with pytest.raises(RequestError):
         services.command_params({**request, "param1": math.inf})
     for made in (services.command_params, services.command_int):
-        with pytest.raises(RequestError, match="0 is no command"):
+        with pytest.raises(RequestError, match="0 is not a command"):
             made({**request, "command": 0})
     assert [services.interval_hz(hz) for hz in (-1.0, 0.0, 5.0, 1e9)] == [0.0, None, 5.0, 1000.0]
     assert services.takeoff_height_m({"altitude": 190.0}, {"autopilot": "px4", "position": {"alt_amsl_m": 180.0}}) == 10

@@ -15,6 +15,7 @@ from skygcs.core.ros.interfaces import ros2_interfaces
 from skygcs.core.ros.memory import VehicleMemory
 from skygcs.core.ros.setpoints import SETPOINTS, AttitudeError, AttitudePair, LocalFrame, SetpointError
 from skygcs.core.ros.topics import samples
+from support.table import each
 
 FLEET = Origin(43.7806, -79.4653, 180.0, 60.0)
 EKF = (43.7810, -79.4660, 182.0)
@@ -96,8 +97,8 @@ def test_masks() -> None:
 NED_OF_ENU = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 
 
-@pytest.mark.parametrize("ignored", range(7))
-@pytest.mark.parametrize(("part", "shift"), [("velocity", 3), ("acceleration_or_force", 6)])
+@each("ignored", range(7))
+@each(("part", "shift"), [("velocity", 3), ("acceleration_or_force", 6)])
 def test_a_mask_is_of_mavlinks_axes(part: str, shift: int, ignored: int) -> None:
     """MAVROS (setpoint_raw: local_cb) turns the values into NED and passes the mask on, whose first bit is north's."""
     plain = LocalFrame(Origin(*EKF), EKF, None, 0.0)
@@ -179,7 +180,7 @@ def test_attitudes_and_rates() -> None:
         pair.on_twist({"twist": {"angular": xyz(0, 0, 0)}}, 10.3)
 
 
-@pytest.mark.parametrize(
+@each(
     ("topic", "fields"),
     [
         ("setpoint_position/local", {"pose": {"position": xyz(math.nan, 0, 0), "orientation": {"w": 1.0}}}),

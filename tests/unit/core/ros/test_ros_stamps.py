@@ -6,6 +6,7 @@ import pytest
 
 from skygcs.core.ros.ros_names import ros_name, vehicle_root
 from skygcs.core.ros.stamps import VehicleClock
+from support.table import each
 
 MS = 1_000_000
 UNIX_NS = 1_700_000_000 * 10**9
@@ -40,7 +41,7 @@ def test_time_since_1970_is_taken_and_never_from_the_future() -> None:
     assert clock.stamp_ns(UNIX_NS // 1000 + 10**9, UNIX_NS) == UNIX_NS
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "ros"),
     [("alpha", "alpha"), ("uav-1", "uav_1"), ("7th", "v7th"), ("Ä", "v"), ("a__b", "a_b"), ("_x_", "x")],
 )

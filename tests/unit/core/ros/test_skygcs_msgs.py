@@ -7,10 +7,10 @@ from importlib.resources import files
 from pathlib import Path
 from xml.etree import ElementTree
 
-import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from skygcs.core.ros.interfaces import definitions, ros2_interfaces
+from support.table import each
 
 PACKAGE = Path(str(files("skygcs.core.ros"))) / "skygcs_msgs"
 DEFINITIONS = sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.*") if path.suffix in (".msg", ".action"))
@@ -41,7 +41,7 @@ def test_the_build_files_name_every_definition_and_every_package() -> None:
     assert {path.name for path in PACKAGE.iterdir()} == {"package.xml", "CMakeLists.txt", "msg", "action"}
 
 
-@pytest.mark.parametrize("path", DEFINITIONS, ids=str)
+@each("path", DEFINITIONS)
 def test_definitions_are_those_that_rosidl_takes(path: Path) -> None:
     assert re.fullmatch(r"[A-Z][A-Za-z0-9]*", path.stem)
     own = {other.stem for other in DEFINITIONS}

@@ -34,7 +34,7 @@ def anew(router: Router) -> set[int]:
         for port in router._ports.values()
         if port.policy.role != "gcs" and not port.policy.replayed
         for source in port.vehicles
-        if source not in router.state_sources or not router._is_station(router.state_sources[source].present_id)
+        if source not in router.state_sources or not router.table.is_station(router.state_sources[source].present_id)
     }
 
 
@@ -56,4 +56,4 @@ def test_it_is_what_all_channels_together_say(steps: list[tuple[str, str, int]])
         elif kind == "wait":
             net.now += number
             net.router.expire(net.now)
-        assert net.router._heard_directly == anew(net.router)
+        assert net.router.table.heard_directly == anew(net.router)

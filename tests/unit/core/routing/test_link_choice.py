@@ -56,10 +56,7 @@ class Both:
     def __init__(self, seed: int = 1) -> None:
         self.rng = random.Random(seed)
         self.now = 0.0
-        self.wires = {
-            WIFI: Wire(20.0, DEFAULT_COST, 0.0, known_good=True),
-            RADIO: Wire(2.0, SCARCE_COST, 0.0),
-        }
+        self.wires = {WIFI: Wire(20.0, DEFAULT_COST, 0.0, known_good=True), RADIO: Wire(2.0, SCARCE_COST, 0.0)}
         self.choice = LinkChoice()
         self.chosen = WIFI
         self.changes: list[tuple[float, int, str]] = []
@@ -85,14 +82,17 @@ class Both:
         return self.wires[RADIO]
 
 
-def test_two_good_links_stay_as_they_are() -> None:
-    both = Both()
+@pytest.fixture
+def both() -> Both:
+    return Both()
+
+
+def test_two_good_links_stay_as_they_are(both: Both) -> None:
     both.run(600)
     assert both.changes == [] and both.radio.health.health is Health.GOOD
 
 
-def test_a_link_that_is_cut_is_left_within_a_second_and_a_half() -> None:
-    both = Both()
+def test_a_link_that_is_cut_is_left_within_a_second_and_a_half(both: Both) -> None:
     both.run(30)
     both.wifi.up = False
     both.run(5)
@@ -100,8 +100,7 @@ def test_a_link_that_is_cut_is_left_within_a_second_and_a_half() -> None:
     assert at <= 31.5 and chosen == RADIO and why.startswith("silent for 1")
 
 
-def test_it_comes_back_after_a_trial_without_a_fault() -> None:
-    both = Both()
+def test_it_comes_back_after_a_trial_without_a_fault(both: Both) -> None:
     both.run(30)
     both.wifi.up = False
     both.run(5)
@@ -112,8 +111,7 @@ def test_it_comes_back_after_a_trial_without_a_fault() -> None:
     assert [chosen for _, chosen, _ in both.changes] == [RADIO, WIFI]
 
 
-def test_a_link_that_flaps_for_a_minute_is_left_once() -> None:
-    both = Both()
+def test_a_link_that_flaps_for_a_minute_is_left_once(both: Both) -> None:
     both.run(30)
     for _ in range(10):
         both.wifi.up = False
@@ -125,8 +123,7 @@ def test_a_link_that_flaps_for_a_minute_is_left_once() -> None:
     assert [chosen for _, chosen, _ in both.changes] == [RADIO, WIFI]
 
 
-def test_each_fault_soon_after_the_last_makes_the_next_trial_longer_and_two_good_minutes_forgive() -> None:
-    both = Both()
+def test_each_fault_soon_after_the_last_makes_the_next_trial_longer_and_two_good_minutes_forgive(both: Both) -> None:
     trials = []
     for _ in range(6):
         both.run(61)
@@ -141,7 +138,7 @@ def test_each_fault_soon_after_the_last_makes_the_next_trial_longer_and_two_good
     assert both.wifi.health.trial_s() == TRIAL_S
 
 
-@each("seed", seeds(20))
+@each("seed", seeds(8))
 def test_loss_below_the_marks_changes_nothing(seed: int) -> None:
     both = Both(seed)
     both.wifi.loss = both.radio.loss = 0.04
@@ -176,16 +173,14 @@ def test_two_links_that_lose_a_fifth_do_not_alternate(seed: int) -> None:
     assert len(both.changes) <= 1
 
 
-def test_of_two_poor_links_the_one_that_loses_far_less_is_used() -> None:
-    both = Both()
+def test_of_two_poor_links_the_one_that_loses_far_less_is_used(both: Both) -> None:
     both.wires[RADIO].period_s = 0.05
     both.wifi.loss, both.radio.loss = 0.5, 0.2
     both.run(60)
     assert both.chosen == RADIO and len(both.changes) == 1
 
 
-def test_a_link_that_falls_behind_is_left() -> None:
-    both = Both()
+def test_a_link_that_falls_behind_is_left(both: Both) -> None:
     both.run(30)
     both.wifi.lag_s = 1.2
     both.run(3)
@@ -193,8 +188,7 @@ def test_a_link_that_falls_behind_is_left() -> None:
     assert chosen == RADIO and why == "it is 1.2 s behind"
 
 
-def test_nothing_is_chosen_that_is_not_shown_to_be_the_same_vehicle() -> None:
-    both = Both()
+def test_nothing_is_chosen_that_is_not_shown_to_be_the_same_vehicle(both: Both) -> None:
     both.run(30)
     both.wifi.up = False
     both.run(2)
@@ -203,8 +197,7 @@ def test_nothing_is_chosen_that_is_not_shown_to_be_the_same_vehicle() -> None:
     assert LinkChoice().decide(down, {RADIO: radio}, lambda _: False, both.now) is None
 
 
-def test_with_both_links_down_the_choice_stays_and_the_first_to_return_is_used() -> None:
-    both = Both()
+def test_with_both_links_down_the_choice_stays_and_the_first_to_return_is_used(both: Both) -> None:
     both.run(30)
     both.wifi.up = both.radio.up = False
     both.run(60)
@@ -214,8 +207,7 @@ def test_with_both_links_down_the_choice_stays_and_the_first_to_return_is_used()
     assert both.chosen == WIFI
 
 
-def test_a_slow_link_has_a_longer_limit_of_silence_than_a_fast_one() -> None:
-    both = Both()
+def test_a_slow_link_has_a_longer_limit_of_silence_than_a_fast_one(both: Both) -> None:
     both.run(30)
     assert both.wifi.health.silent_limit_s == 1.0
     assert 1.4 <= both.radio.health.silent_limit_s <= 2.5
@@ -224,7 +216,7 @@ def test_a_slow_link_has_a_longer_limit_of_silence_than_a_fast_one() -> None:
 
 def test_a_restarted_counter_is_no_loss_and_memory_is_bounded() -> None:
     link = LinkHealth(0.0, known_good=True)
-    for n in range(100_000):
+    for n in range(10_000):
         now = n * 0.1
         link.heard(now)
         link.sample(n % 1000, 0, now)
@@ -232,8 +224,7 @@ def test_a_restarted_counter_is_no_loss_and_memory_is_bounded() -> None:
     assert link.loss == 0.0
 
 
-def test_a_deaf_link_is_left_at_once_though_its_telemetry_comes_and_is_taken_again_after_an_answer() -> None:
-    both = Both()
+def test_a_deaf_link_is_left_at_once_though_its_telemetry_comes_and_is_taken_again_after_an_answer(both: Both) -> None:
     both.run(60)
     both.wifi.health.deaf = True
     both.run(0.2)
@@ -247,8 +238,7 @@ def test_a_deaf_link_is_left_at_once_though_its_telemetry_comes_and_is_taken_aga
     assert both.chosen == WIFI and len(both.changes) == 2
 
 
-def test_a_deaf_link_is_left_for_one_on_trial_and_not_for_one_that_is_deaf_or_down() -> None:
-    both = Both()
+def test_a_deaf_link_is_left_for_one_on_trial_and_not_for_one_that_is_deaf_or_down(both: Both) -> None:
     both.run(5)
     assert both.radio.health.health is Health.TRIAL
     both.radio.health.deaf = True

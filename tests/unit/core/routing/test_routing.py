@@ -19,98 +19,67 @@ def to(target: int, component: int = 1, sysid: int = 250, compid: int = 190, seq
     return message("COMMAND_LONG", sysid, compid, seq, target_system=target, target_component=component, command=400)
 
 
-def test_a_frame_for_our_own_id_is_consumed_and_goes_nowhere() -> None:
-    net = five_ports()
-    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=25))
-    assert net.reached() == set()
-    assert net.decisions[-1].local
+def of(**ports: ChannelPolicy) -> RoutedNet:
+    net = RoutedNet()
+    for name, policy in ports.items():
+        net.open(name, policy)
+    return net
 
 
-def test_a_frame_for_component_0_of_our_system_reaches_us_and_others_with_our_system_id() -> None:
-    net = five_ports()
-    net.open("script")
-    net.datagram("script", heartbeat(255, 1, gcs=True))
+def reached(net: RoutedNet, port: str, data: bytes) -> set[str]:
+    """Where one datagram goes."""
     net.clear()
-    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255))
-    assert net.reached() == {"script"}
-    assert net.decisions[-1].local
+    net.datagram(port, data)
+    return net.reached()
 
 
-def test_another_ground_station_with_our_system_id_gets_its_own_acks() -> None:
+def ack(component: int) -> bytes:
+    return message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=component)
+
+
+def test_what_is_for_us_stays_and_what_is_for_others_of_our_system_id_goes_to_them() -> None:
     net = five_ports()
     net.open("qgc")
     net.datagram("qgc", heartbeat(255, 190, gcs=True))
-    net.clear()
-    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=190))
-    assert net.reached() == {"qgc"}
-    assert not net.decisions[-1].local
-
-
-def test_broadcast_is_for_us_too() -> None:
-    net = five_ports()
+    for component, wanted, local in ((25, set(), True), (190, {"qgc"}, False), (0, {"qgc"}, True)):
+        assert reached(net, "V0", ack(component)) == wanted, component
+        assert net.decisions[-1].local is local, component
     net.datagram("V0", heartbeat(1, seq=1))
-    assert net.decisions[-1].local
+    assert net.decisions[-1].local, "a broadcast is for us, too"
 
 
 def test_our_own_id_from_outside_is_a_conflict_noted_once_and_not_learned() -> None:
     net = five_ports()
-    net.router.notes.clear()
+    net.router.table.notes.clear()
     for seq in range(3):
         net.datagram("G0", heartbeat(255, 25, seq, gcs=True))
     assert net.reached() == set()
-    assert [n.kind for n in net.router.notes] == ["conflict"]
+    assert [n.kind for n in net.router.table.notes] == ["conflict"]
     assert net.router.counters[RoutingVerdict.CONFLICT] == 3
-    net.clear()
-    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=25))
-    assert net.reached() == set()
+    assert (
+        reached(net, "V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=25))
+        == set()
+    )
 
 
-def test_telemetry_of_a_vehicle_does_not_go_to_other_vehicles_or_the_radio() -> None:
-    net = RoutedNet()
-    for name, policy in {"v1": VEHICLE, "v2": VEHICLE, "radio": RADIO, "gcs": GCS, "peer": ChannelPolicy()}.items():
-        net.open(name, policy)
-    for name, sysid in {"v1": 1, "v2": 2, "radio": 3}.items():
+def test_telemetry_goes_to_ground_stations_and_peers_and_commands_to_whom_they_name() -> None:
+    net = of(v1=VEHICLE, v2=VEHICLE, radio=RADIO, gcs=GCS, peer=ChannelPolicy())
+    vehicles = {"v1": 1, "v2": 2, "radio": 3}
+    for name, sysid in vehicles.items():
         net.datagram(name, heartbeat(sysid))
-    for name, sysid in {"v1": 1, "v2": 2, "radio": 3}.items():
-        net.clear()
-        net.datagram(name, message("ATTITUDE", sysid, seq=2))
-        assert net.reached() == {"gcs", "peer"}
-
-
-def test_telemetry_of_a_vehicle_behind_a_peer_link_spares_the_radio() -> None:
-    net = RoutedNet()
-    net.open("radio", RADIO)
-    net.open("udp")
-    net.open("gcs", GCS)
+    for name, sysid in vehicles.items():
+        assert reached(net, name, message("ATTITUDE", sysid, seq=2)) == {"gcs", "peer"}, name
+    assert reached(net, "v1", to(3, sysid=1, compid=1)) == {"radio"}, "from vehicle to vehicle"
+    assert reached(of(v1=VEHICLE, radio=RADIO, gcs=GCS), "gcs", to(0, 0)) == {"v1", "radio"}
+    net = of(radio=RADIO, udp=ChannelPolicy(), gcs=GCS)
     net.datagram("udp", heartbeat(7))
-    net.clear()
-    net.datagram("udp", message("ATTITUDE", 7, seq=1))
-    assert net.reached() == {"gcs"}
-
-
-def test_targeted_frames_between_vehicles_pass() -> None:
-    net = RoutedNet()
-    net.open("v1", VEHICLE)
-    net.open("radio", RADIO)
-    net.datagram("v1", heartbeat(1))
-    net.datagram("radio", heartbeat(3))
-    net.clear()
-    net.datagram("v1", to(3, sysid=1, compid=1))
-    assert net.reached() == {"radio"}
-
-
-def test_broadcast_commands_of_a_ground_station_reach_vehicles_and_radio() -> None:
-    net = RoutedNet()
-    for name, policy in {"v1": VEHICLE, "radio": RADIO, "gcs": GCS}.items():
-        net.open(name, policy)
-    net.datagram("gcs", to(0, 0))
-    assert net.reached() == {"v1", "radio"}
+    assert reached(net, "udp", message("ATTITUDE", 7, seq=1)) == {"gcs"}, "of a vehicle behind a peer link"
+    net = of(a=ChannelPolicy(group="mast"), b=ChannelPolicy(group="mast"), gcs=ChannelPolicy())
+    assert reached(net, "a", heartbeat(1)) == {"gcs"}, "links of one group do not feed each other"
 
 
 def test_radio_status_never_goes_to_vehicles_of_any_role() -> None:
-    net = RoutedNet()
-    for name, policy in {"radio": RADIO, "v1": VEHICLE, "peer": ChannelPolicy(), "gcs": GCS}.items():
-        net.open(name, policy)
+    net = of(radio=RADIO, v1=VEHICLE, peer=ChannelPolicy(), gcs=GCS)
     net.datagram("peer", heartbeat(9))
     net.clear()
     net.datagram("radio", message("RADIO_STATUS", 51, 68, 1, txbuf=90))
@@ -121,34 +90,18 @@ def test_radio_status_never_goes_to_vehicles_of_any_role() -> None:
 
 def test_unknown_ids_go_to_a_radio_only_if_it_says_so_and_teach_no_route() -> None:
     unknown = bytes((0xFD, 1, 0, 0, 9, 250, 77, 0x40, 0xEE, 0x02)) + b"a" + b"\x12\x34"
-    net = RoutedNet()
-    net.open("gcs", GCS)
-    net.open("radio", RADIO)
-    net.open("radio2", ChannelPolicy(role="radio", forward_unknown=True))
+    net = of(gcs=GCS, radio=RADIO, radio2=ChannelPolicy(role="radio", forward_unknown=True))
     net.datagram("gcs", heartbeat(250, 77, gcs=True))
-    net.clear()
-    net.datagram("gcs", unknown)
-    assert net.reached() == {"radio2"}
-    before = net.router.routes()
+    assert reached(net, "gcs", unknown) == {"radio2"}
+    before = net.router.table.routes()
     net.router.close(net.ids["gcs"])
     net.router.open(net.ids["gcs"], GCS)
     net.datagram("gcs", unknown)  # the parser still trusts the source; the route is not made by it
-    assert [r[:2] for r in net.router.routes()] == [r[:2] for r in before if r[0] != 250]
-
-
-def test_links_of_one_group_do_not_feed_each_other() -> None:
-    net = RoutedNet()
-    net.open("a", ChannelPolicy(group="mast"))
-    net.open("b", ChannelPolicy(group="mast"))
-    net.open("gcs")
-    net.datagram("a", heartbeat(1))
-    assert net.reached() == {"gcs"}
+    assert [r[:2] for r in net.router.table.routes()] == [r[:2] for r in before if r[0] != 250]
 
 
 def test_a_frame_heard_over_two_links_is_forwarded_once() -> None:
-    net = RoutedNet()
-    for name in ("a", "b", "gcs"):
-        net.open(name, GCS if name == "gcs" else ChannelPolicy())
+    net = of(a=ChannelPolicy(), b=ChannelPolicy(), gcs=GCS)
     for seq in range(20):
         frame = message("ATTITUDE", 1, seq=seq, roll=seq * 0.1)
         net.datagram("a", frame)
@@ -166,10 +119,7 @@ def test_a_repeated_frame_on_the_same_link_is_no_copy() -> None:
 
 
 def test_the_better_of_two_parallel_links_is_used_to_send() -> None:
-    net = RoutedNet()
-    for name in ("lossy", "good"):
-        net.open(name)
-    net.open("gcs", GCS)
+    net = of(lossy=ChannelPolicy(), good=ChannelPolicy(), gcs=GCS)
     net.datagram("gcs", heartbeat(250, 190, gcs=True))
     for seq in range(400):
         frame = message("ATTITUDE", 1, seq=seq & 0xFF, roll=seq * 0.1)
@@ -177,17 +127,12 @@ def test_the_better_of_two_parallel_links_is_used_to_send() -> None:
         if seq % 3 == 0:
             net.datagram("lossy", frame)
         net.datagram("good", frame)
-    net.clear()
-    net.datagram("gcs", to(1))
-    assert net.reached() == {"good"}
+    assert reached(net, "gcs", to(1)) == {"good"}
     assert net.router.route_own(1, 1, net.now) == (net.ids["good"],)
 
 
 def test_when_the_better_parallel_link_falls_silent_the_other_takes_over() -> None:
-    net = RoutedNet()
-    for name in ("a", "b"):
-        net.open(name)
-    net.open("gcs", GCS)
+    net = of(a=ChannelPolicy(), b=ChannelPolicy(), gcs=GCS)
     for seq in range(200):
         frame = message("ATTITUDE", 1, seq=seq & 0xFF, roll=seq * 0.1)
         net.now += 0.02
@@ -197,9 +142,7 @@ def test_when_the_better_parallel_link_falls_silent_the_other_takes_over() -> No
     for seq in range(200):
         net.now += 0.02
         net.datagram("b", message("ATTITUDE", 1, seq=seq & 0xFF, roll=-seq * 0.1))
-    net.clear()
-    net.datagram("gcs", to(1))
-    assert net.reached() == {"b"}
+    assert reached(net, "gcs", to(1)) == {"b"}
 
 
 def test_two_ground_stations_of_one_id_both_keep_their_answers() -> None:
@@ -212,16 +155,13 @@ def test_two_ground_stations_of_one_id_both_keep_their_answers() -> None:
         net.datagram("V0", message("ATTITUDE", 1, seq=n & 0xFF, roll=n * 0.1))
         net.datagram("qgc1", heartbeat(255, 190, n & 0xFF, gcs=True))
         net.datagram("qgc2", heartbeat(255, 190, n & 0xFF if n == 30 else (n + 7) & 0xFF, gcs=True))
-    net.clear()
-    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=190))
-    assert net.reached() == {"qgc1", "qgc2"}
+    assert reached(
+        net, "V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=190)
+    ) == {"qgc1", "qgc2"}
 
 
 def test_an_echo_from_a_ground_station_is_no_vehicle_and_no_way_to_it() -> None:
-    net = RoutedNet()
-    net.open("radio", RADIO)
-    net.open("gcs", GCS)
-    net.open("gcs2", GCS)
+    net = of(radio=RADIO, gcs=GCS, gcs2=GCS)
     net.datagram("gcs", heartbeat(1, seq=9))  # met through the station first
     net.datagram("radio", heartbeat(1, seq=1))
     for seq in range(2, 10):
@@ -230,16 +170,12 @@ def test_an_echo_from_a_ground_station_is_no_vehicle_and_no_way_to_it() -> None:
         net.datagram("gcs", heartbeat(1, seq=seq))
         net.datagram("gcs", message("ATTITUDE", 1, seq=seq))
     assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
-    net.clear()
-    net.datagram("gcs2", to(1))
-    assert net.reached() == {"radio"}
-    assert [n.kind for n in net.router.notes].count("echo") == 1
+    assert reached(net, "gcs2", to(1)) == {"radio"}
+    assert [n.kind for n in net.router.table.notes].count("echo") == 1
 
 
 def test_a_vehicle_whose_own_link_is_gone_is_heard_through_the_ground_station() -> None:
-    net = RoutedNet()
-    net.open("radio", RADIO)
-    net.open("gcs", GCS)
+    net = of(radio=RADIO, gcs=GCS)
     net.datagram("radio", heartbeat(1, seq=1))
     net.datagram("gcs", heartbeat(1, seq=5))
     assert net.decisions[-1].verdict is RoutingVerdict.DUPLICATE
@@ -251,10 +187,7 @@ def test_a_vehicle_whose_own_link_is_gone_is_heard_through_the_ground_station() 
 
 
 def test_a_recording_reaches_ground_stations_only_and_never_commands_anybody() -> None:
-    net = RoutedNet()
-    net.open("replay", ChannelPolicy(replayed=True))
-    for name, policy in {"radio": RADIO, "v1": VEHICLE, "peer": ChannelPolicy(), "gcs": GCS}.items():
-        net.open(name, policy)
+    net = of(replay=ChannelPolicy(replayed=True), radio=RADIO, v1=VEHICLE, peer=ChannelPolicy(), gcs=GCS)
     net.datagram("radio", heartbeat(1))
     net.clear()
     net.datagram("replay", heartbeat(5))
@@ -264,16 +197,16 @@ def test_a_recording_reaches_ground_stations_only_and_never_commands_anybody() -
     net.datagram("replay", to(1, sysid=255, compid=190))
     net.datagram("replay", to(0, 0, sysid=255, compid=190, seq=2))
     assert net.reached() <= {"gcs"}
-    net.clear()
-    net.datagram("replay", message("ATTITUDE", 1, seq=7))
-    assert net.reached() == set(), "vehicle 1 is alive: nothing of its recording passes"
+    assert reached(net, "replay", message("ATTITUDE", 1, seq=7)) == set(), (
+        "vehicle 1 is alive: nothing of its recording passes"
+    )
     net.datagram("gcs", to(5))
     net.datagram("gcs", to(0, 0, seq=2))
     assert "replay" not in net.reached()
     assert net.router.route_own(5, 1, net.now) == ()
     assert net.ids["replay"] not in net.router.route_own(0, 0, net.now)
     net.datagram("replay", heartbeat(255, 25, gcs=True))
-    assert "conflict" not in [n.kind for n in net.router.notes], "our own old heartbeats are no conflict"
+    assert "conflict" not in [n.kind for n in net.router.table.notes], "our own old heartbeats are no conflict"
 
 
 def beats(net: RoutedNet, seconds: float, *ports: str, **modes: int) -> None:
@@ -298,64 +231,34 @@ def beats(net: RoutedNet, seconds: float, *ports: str, **modes: int) -> None:
 
 
 def notes(net: RoutedNet) -> list[str]:
-    return [n.kind for n in net.router.notes if n.kind.startswith("duplicate")]
+    return [n.kind for n in net.router.table.notes if n.kind.startswith("duplicate")]
 
 
 def test_one_id_on_two_peers_of_one_port_is_two_vehicles_until_one_is_gone() -> None:
-    net = RoutedNet()
-    net.open("a", ChannelPolicy(link="udp"))
-    net.open("b", ChannelPolicy(link="udp"))
+    net = of(a=ChannelPolicy(link="udp"), b=ChannelPolicy(link="udp"))
     beats(net, 3, "a", "b")
     assert notes(net) == []
     beats(net, 4, "a", "b")
     assert notes(net) == ["duplicate"]
-    assert net.router.duplicates == {1 << 8 | 1}
+    assert net.router.selection.duplicates == {1 << 8 | 1}
     beats(net, 5, "a")
     assert notes(net) == ["duplicate", "duplicate_over"]
-    assert net.router.duplicates == set()
+    assert net.router.selection.duplicates == set()
+    net = of(a=ChannelPolicy(link="udp"), b=ChannelPolicy(link="udp"))
+    beats(net, 10, "a")
+    beats(net, 10, "b")
+    assert notes(net) == [], "it moved to the other"
 
 
-def test_one_vehicle_with_a_radio_and_wifi_is_one_vehicle_whatever_its_mode() -> None:
-    net = RoutedNet()
-    net.open("radio", ChannelPolicy(link="radio"))
-    net.open("wifi", ChannelPolicy(link="wifi"))
+def test_one_vehicle_with_a_radio_and_wifi_is_one_vehicle_unless_it_is_in_two_modes_at_once() -> None:
+    net = of(radio=ChannelPolicy(link="radio"), wifi=ChannelPolicy(link="wifi"))
     beats(net, 10, "radio", "wifi")
     beats(net, 2, "radio", "wifi", wifi=5)  # the mode change shows on the radio a little later
     beats(net, 10, "radio", "wifi", wifi=5, radio=5)
     assert notes(net) == []
-
-
-def test_one_id_in_two_modes_at_once_is_two_vehicles() -> None:
-    net = RoutedNet()
-    net.open("radio", ChannelPolicy(link="radio"))
-    net.open("wifi", ChannelPolicy(link="wifi"))
+    net = of(radio=ChannelPolicy(link="radio"), wifi=ChannelPolicy(link="wifi"))
     beats(net, 8, "radio", "wifi", wifi=5)
     assert notes(net) == ["duplicate"]
-
-
-def test_a_vehicle_that_moves_to_another_peer_of_one_port_is_no_duplicate() -> None:
-    net = RoutedNet()
-    net.open("a", ChannelPolicy(link="udp"))
-    net.open("b", ChannelPolicy(link="udp"))
-    beats(net, 10, "a")
-    beats(net, 10, "b")
-    assert notes(net) == []
-
-
-def test_a_slightly_late_system_time_is_no_reboot() -> None:
-    net = five_ports()
-    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=600_000))
-    net.datagram("V2", heartbeat(1, seq=4))
-    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 5, time_boot_ms=599_800))
-    assert "cleared" not in [n.kind for n in net.router.notes]
-
-
-def test_a_system_that_moves_is_followed_at_once() -> None:
-    net = five_ports()
-    net.datagram("V2", heartbeat(1, seq=9))
-    net.clear()
-    net.datagram("G0", to(1))
-    assert "V2" in net.reached()
 
 
 def test_system_time_going_back_clears_the_routes_of_that_system_only() -> None:
@@ -364,27 +267,21 @@ def test_system_time_going_back_clears_the_routes_of_that_system_only() -> None:
     net.datagram("V2", heartbeat(1, seq=4))
     net.now += 2.5
     net.datagram("V0", message("SYSTEM_TIME", 1, 1, 5, time_boot_ms=3_000))
-    net.clear()
-    net.datagram("G0", to(1))
-    assert net.reached() == {"V0"}
-    net.clear()
-    net.datagram("G0", to(2))
-    assert net.reached() == {"V1"}
-    assert [n.sysid for n in net.router.notes if n.kind == "cleared"] == [1]
+    assert reached(net, "G0", to(1)) == {"V0"}
+    assert reached(net, "G0", to(2)) == {"V1"}
+    assert [n.sysid for n in net.router.table.notes if n.kind == "cleared"] == [1]
 
 
 def test_the_last_route_to_a_vehicle_in_the_air_does_not_expire() -> None:
     """Its downlink may be lost alone; the older one of two ways goes."""
     net = five_ports()
-    net.router.may_fly = lambda source: source == 1 << 8 | 1
+    net.router.table.may_fly = lambda source: source == 1 << 8 | 1
     net.now += 5
     net.datagram("V2", heartbeat(1, seq=9))
     net.now += 300
     net.router.expire(net.now)
     net.datagram("G0", heartbeat(249, gcs=True))
-    net.clear()
-    net.datagram("G0", to(1))
-    assert net.reached() == {"V2"}
+    assert reached(net, "G0", to(1)) == {"V2"}
     net.clear()
     net.datagram("G0", to(2))
     assert not net.reached()
@@ -395,39 +292,27 @@ def test_routes_expire_and_say_so_once() -> None:
     net.now += 59
     net.datagram("V1", heartbeat(2, seq=1))
     net.now += 2
-    net.router.notes.clear()
+    net.router.table.notes.clear()
     net.router.expire(net.now)
     net.router.expire(net.now)
-    assert sorted((n.kind, n.sysid) for n in net.router.notes) == [("expired", s) for s in (1, 1, 3, 249, 250)]
+    assert sorted((n.kind, n.sysid) for n in net.router.table.notes) == [("expired", s) for s in (1, 1, 3, 249, 250)]
     net.clear()
     net.datagram("G0", to(1))
     net.datagram("G0", to(2))
     assert net.reached() == {"V1"}
 
 
-def test_a_closed_channel_takes_its_routes_with_it() -> None:
-    net = five_ports()
-    net.close("V1")
-    net.datagram("G0", to(2))
-    assert net.reached() == set()
-    assert net.decisions[-1].verdict is RoutingVerdict.UNKNOWN_TARGET
-
-
-def test_component_heard_elsewhere_is_reached_there_and_not_at_the_autopilot() -> None:
+def test_what_is_addressed_goes_where_its_target_is_heard() -> None:
     net = five_ports()
     net.datagram("V2", message("HEARTBEAT", 1, 191, type=18, autopilot=8, mavlink_version=3))
-    net.clear()
-    net.datagram("G0", to(1, 191))
-    assert net.reached() == {"V2"}
-    net.clear()
-    net.datagram("G0", to(1, 1, seq=2))
-    assert net.reached() == {"V0"}
-
-
-def test_manual_control_has_a_target_system_in_its_field_called_target() -> None:
-    net = five_ports()
-    net.datagram("G0", message("MANUAL_CONTROL", 250, 190, target=2, x=100))
-    assert net.reached() == {"V1"}
+    assert reached(net, "G0", to(1, 191)) == {"V2"}, "a component that is heard elsewhere"
+    assert reached(net, "G0", to(1, 1, seq=2)) == {"V0"}
+    assert reached(net, "G0", message("MANUAL_CONTROL", 250, 190, target=2, x=100)) == {"V1"}, "its field is `target`"
+    net.datagram("V2", heartbeat(1, seq=9))
+    assert "V2" in reached(net, "G0", to(1, seq=3)), "it moved, and is followed at once"
+    net.close("V1")
+    assert reached(net, "G0", to(2)) == set(), "a closed channel takes its routes with it"
+    assert net.decisions[-1].verdict is RoutingVerdict.UNKNOWN_TARGET
 
 
 def test_filters_keep_messages_out_in_both_directions() -> None:
@@ -439,13 +324,9 @@ def test_filters_keep_messages_out_in_both_directions() -> None:
     assert net.reached() == set()
     net.datagram("v", message("ATTITUDE", 2))
     assert net.reached() == {"only2"}
-    net.clear()
-    net.datagram("v", heartbeat(1))
-    assert net.reached() == {"gcs"}
-    net.clear()
-    net.datagram("v", heartbeat(2, 100))
-    assert net.reached() == set()
-    assert all(route[:2] != (2, 100) for route in net.router.routes()), "what a filter kept out teaches nothing"
+    assert reached(net, "v", heartbeat(1)) == {"gcs"}
+    assert reached(net, "v", heartbeat(2, 100)) == set()
+    assert all(route[:2] != (2, 100) for route in net.router.table.routes()), "what a filter kept out teaches nothing"
     assert net.router.port_counters(net.ids["gcs"])["filtered_out"] == 2
     assert net.router.port_counters(net.ids["v"])["filtered_in"] == 1
 
@@ -597,11 +478,11 @@ def test_a_limit_on_what_comes_in_drops_what_is_above_it_and_counts_that() -> No
 
 def test_an_unknown_channel_is_no_fault() -> None:
     router = five_ports().router
-    assert router.port_counters(99) == {} and not router.hears(99, 1) and router.autopilots_on(99) == ()
+    assert router.port_counters(99) == {} and not router.table.hears(99, 1) and router.table.autopilots_on(99) == ()
     router.close(99)
     net = five_ports()
-    assert net.router.hears(net.ids["V0"], 1) and not net.router.hears(net.ids["V0"], 2)
-    assert net.router.autopilots_on(net.ids["V1"]) == {2 << 8 | 1}
+    assert net.router.table.hears(net.ids["V0"], 1) and not net.router.table.hears(net.ids["V0"], 2)
+    assert net.router.table.autopilots_on(net.ids["V1"]) == {2 << 8 | 1}
 
 
 def test_notes_name_source_and_channel_and_what_is_not_reported_is_counted() -> None:
@@ -609,19 +490,19 @@ def test_notes_name_source_and_channel_and_what_is_not_reported_is_counted() -> 
     net.open("hostile")
     net.datagram("hostile", heartbeat(7, 3))
     net.datagram("hostile", heartbeat(255, 25))
-    assert [(n.kind, n.sysid, n.compid, n.channel_id) for n in net.router.notes] == [
+    assert [(n.kind, n.sysid, n.compid, n.channel_id) for n in net.router.table.notes] == [
         ("learned", 7, 3, net.ids["hostile"]),
         ("conflict", 255, 25, net.ids["hostile"]),
     ]
     for again_s, conflicts in ((60.0, 1), (60.25, 2)):
         net.now += again_s
         net.datagram("hostile", heartbeat(255, 25))
-        assert [n.kind for n in net.router.notes].count("conflict") == conflicts
-    net.router.notes.clear()
+        assert [n.kind for n in net.router.table.notes].count("conflict") == conflicts
+    net.router.table.notes.clear()
     for number in range(300):
         net.datagram("hostile", message("ATTITUDE", 1 + number // 200, 1 + number % 200))
-    learned = [n.kind for n in net.router.notes].count("learned")
-    assert 0 < learned < 300 and net.router.unreported_routes == 300 - learned
+    learned = [n.kind for n in net.router.table.notes].count("learned")
+    assert 0 < learned < 300 and net.router.table.unreported_routes == 300 - learned
 
 
 def test_a_clock_that_goes_back_is_a_restart_only_if_it_began_just_now_or_goes_back_far() -> None:
@@ -637,7 +518,7 @@ def test_a_clock_that_goes_back_is_a_restart_only_if_it_began_just_now_or_goes_b
         net = five_ports()
         net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=before_ms))
         net.datagram("V0", message("SYSTEM_TIME", 1, 1, 4, time_boot_ms=after_ms))
-        assert ("cleared" in [n.kind for n in net.router.notes]) is cleared, (before_ms, after_ms)
+        assert ("cleared" in [n.kind for n in net.router.table.notes]) is cleared, (before_ms, after_ms)
 
 
 def test_a_restart_leaves_the_routes_on_which_it_was_heard_within_two_seconds() -> None:
@@ -647,7 +528,7 @@ def test_a_restart_leaves_the_routes_on_which_it_was_heard_within_two_seconds() 
         net.datagram("V2", message("ATTITUDE", 1, 7))
         net.now += silent_s
         net.datagram("V0", message("SYSTEM_TIME", 1, 1, 4, time_boot_ms=1_000))
-        assert net.router.hears(net.ids["V2"], 1) is stays, silent_s
+        assert net.router.table.hears(net.ids["V2"], 1) is stays, silent_s
 
 
 def test_copies_of_one_component_end_what_the_fast_path_carries_of_the_others() -> None:
@@ -662,7 +543,7 @@ def test_copies_of_one_component_end_what_the_fast_path_carries_of_the_others() 
     net.datagram("a", data)
     (copy,) = net.parsers["b"].feed_datagram(data)
     changes: list[str] = []
-    net.router.on_change = lambda: changes.append("changed")
+    net.router.table.on_change = lambda: changes.append("changed")
     assert net.router.decide(net.ids["b"], copy, net.now).verdict is RoutingVerdict.DUPLICATE
     assert changes
     assert entry(net, "a", message("ATTITUDE", 1, 2, 4)) is None
@@ -672,7 +553,7 @@ def test_what_every_change_of_a_route_does_to_the_fast_path() -> None:
     """Each of these makes earlier entries wrong."""
     net = five_ports()
     changes: list[str] = []
-    net.router.on_change = lambda: changes.append("changed")
+    net.router.table.on_change = lambda: changes.append("changed")
 
     def changed(happening: str, happens: bool) -> None:
         assert bool(changes) is happens, happening

@@ -31,9 +31,9 @@ def test_orders_go_where_the_state_comes_from_and_emergencies_everywhere() -> No
     assert {name for name, counts in net.counted if counts} == {"a"}
     assert net.router.route_own(1, 1, net.now) == (net.ids["a"],)
     assert set(net.router.route_own(1, 1, net.now, everywhere=True)) == set(net.ids.values())
-    assert net.router.duplicates == {KEY}
+    assert net.router.selection.duplicates == {KEY}
     assert net.router.channels_of(KEY) == (net.ids["a"], net.ids["b"])
-    (note,) = [n for n in net.router.notes if n.kind == "duplicate"]
+    (note,) = [n for n in net.router.table.notes if n.kind == "duplicate"]
     assert (note.channel_id, note.present_id) == (net.ids["b"], net.ids["a"])
 
 
@@ -48,20 +48,20 @@ def test_an_order_is_not_sent_to_the_other_vehicle_when_the_channel_of_the_first
         net.datagram("b", heartbeat(1, seq=n))
         net.router.expire(net.now)
     assert net.router.route_own(1, 1, net.now) == (b,)
-    (replaced,) = [n for n in net.router.notes if n.kind == "replaced"]
+    (replaced,) = [n for n in net.router.table.notes if n.kind == "replaced"]
     assert (replaced.channel_id, replaced.present_id) == (b, 0), "no channel is left that it replaces"
 
 
 def test_a_restart_that_another_channel_pretends_clears_no_route() -> None:
     net = two_vehicles()
-    net.router.notes.clear()
+    net.router.table.notes.clear()
     net.datagram("b", message("SYSTEM_TIME", 1, 1, 77, time_boot_ms=9_000_000))
     net.datagram("b", message("SYSTEM_TIME", 1, 1, 78, time_boot_ms=1_000))
-    assert "cleared" not in [n.kind for n in net.router.notes]
+    assert "cleared" not in [n.kind for n in net.router.table.notes]
     assert net.router.route_own(1, 1, net.now) == (net.ids["a"],)
     net.datagram("a", message("SYSTEM_TIME", 1, 1, 77, time_boot_ms=90_000))
     net.datagram("a", message("SYSTEM_TIME", 1, 1, 78, time_boot_ms=1_000))
-    assert "cleared" in [n.kind for n in net.router.notes]
+    assert "cleared" in [n.kind for n in net.router.table.notes]
     assert net.router.channels_of(KEY) == (net.ids["a"],)
 
 
@@ -97,7 +97,7 @@ def test_it_is_one_channel_again_when_nobody_else_has_its_ids() -> None:
         net.datagram("a", heartbeat(1, seq=n & 0xFF))
         net.router.expire(net.now)
     assert net.router.state_sources == {}
-    (over,) = [n for n in net.router.notes if n.kind == "duplicate_over"]
+    (over,) = [n for n in net.router.table.notes if n.kind == "duplicate_over"]
     assert (over.channel_id, over.present_id) == (0, net.ids["a"])
     net.counted.clear()
     net.datagram("a", heartbeat(1, seq=99))
@@ -134,7 +134,7 @@ def test_the_channel_that_supplies_the_state_comes_first() -> None:
         net.datagram("b", heartbeat(1, seq=n))
         net.router.expire(net.now)
     assert net.router.channels_of(KEY) == (net.ids["b"], net.ids["a"])
-    assert "replaced" in [n.kind for n in net.router.notes]
+    assert "replaced" in [n.kind for n in net.router.table.notes]
 
 
 def test_a_setpoint_also_goes_over_the_other_link_while_the_first_is_in_doubt() -> None:
@@ -148,7 +148,7 @@ def test_a_setpoint_also_goes_over_the_other_link_while_the_first_is_in_doubt() 
             seq = (2 * n + offset) & 0xFF
             net.datagram(name, heartbeat(1, seq=seq))
             net.datagram(name, message("ATTITUDE", 1, 1, seq + 1, time_boot_ms=round(net.now * 1000)))
-        net.router.choose_links(net.now)
+        net.router.selection.choose_links(net.now)
         net.router.expire(net.now)
     assert net.router.route_own(1, 1, net.now, setpoint=True) == (a,)
     assert set(net.router.route_own(1, 1, net.now, everywhere=True)) == {a, b}
@@ -158,16 +158,16 @@ def test_a_setpoint_also_goes_over_the_other_link_while_the_first_is_in_doubt() 
     assert net.router.route_own(1, 1, net.now) == (a,)
     net.datagram("a", message("ATTITUDE", 1, 1, 9, time_boot_ms=round(net.now * 1000)))
     assert net.router.route_own(1, 1, net.now, setpoint=True) == (a,)
-    net.router.uplink_lost(KEY)
+    net.router.selection.uplink_lost(KEY)
     switched: list[tuple[int, int]] = []
-    net.router.on_switched = lambda source, channel_id: switched.append((source, channel_id))
-    net.router.choose_links(net.now)
+    net.router.selection.on_switched = lambda source, channel_id: switched.append((source, channel_id))
+    net.router.selection.choose_links(net.now)
     assert switched == [(KEY, b)]
     assert net.router.route_own(1, 1, net.now) == (b,)
-    (note,) = [n for n in net.router.notes if n.kind == "switched"]
+    (note,) = [n for n in net.router.table.notes if n.kind == "switched"]
     assert (note.sysid, note.compid, note.channel_id, note.present_id) == (1, 1, b, a)
-    assert net.router.links_to_probe(net.now + 5.0) == [(KEY, a)]
-    net.router.uplink_lost(9 << 8 | 1)  # one that is heard on one link, or not at all
+    assert net.router.selection.links_to_probe(net.now + 5.0) == [(KEY, a)]
+    net.router.selection.uplink_lost(9 << 8 | 1)  # one that is heard on one link, or not at all
 
 
 def test_what_is_recorded_unknown_or_handed_back_supplies_no_state() -> None:
@@ -177,8 +177,8 @@ def test_what_is_recorded_unknown_or_handed_back_supplies_no_state() -> None:
     net.open("bound", ChannelPolicy(link="bound", role="gcs", vehicles=frozenset({1})))
     (beat,) = net.parsers["replay"].feed_datagram(heartbeat(1, seq=77))
     for name in ("replay", "gcs", "bound"):
-        assert not net.router.supplies(net.ids[name], beat, net.now, copy=False), name
-    assert net.router.supplies(net.ids["a"], beat, net.now, copy=False)
+        assert not net.router.selection.supplies(net.ids[name], beat, net.now, copy_of=None), name
+    assert net.router.selection.supplies(net.ids["a"], beat, net.now, copy_of=None)
     unknown = bytes((0xFD, 1, 0, 0, 9, 1, 1, 0x40, 0xEE, 0x02)) + b"a\x12\x34"
     (frame,) = net.parsers["a"].feed_datagram(unknown)
-    assert frame.info is None and not net.router.supplies(net.ids["a"], frame, net.now, copy=False)
+    assert frame.info is None and not net.router.selection.supplies(net.ids["a"], frame, net.now, copy_of=None)

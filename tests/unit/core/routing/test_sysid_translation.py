@@ -51,7 +51,7 @@ def same_but_for_ids(before: bytes, after: bytes, sysid: int, target: int, info:
     # pymavlink's SERIAL_CONTROL has no target, which stands behind its fields: what it reads stays as it was
     expected = known | {field: target} if field in known else known
     assert parsed(after).fields()[field] == target
-    assert repr(now.to_dict()) == repr(expected), "NaN is no number, and equal all the same here"
+    assert repr(now.to_dict()) == repr(expected), "NaN is not a number, and equal all the same here"
     assert (now.get_srcSystem(), now.get_srcComponent(), now.get_seq()) == (
         sysid,
         was.get_srcComponent(),

@@ -159,18 +159,12 @@ def test_the_rate_limit_suits_the_fastest_trajectory() -> None:
 
 
 orders = st.lists(
-    st.tuples(
-        st.floats(0.0, 15.0),
-        st.one_of(
-            st.sampled_from(["pause", "resume", "abort"]),
-            st.floats(0.05, 3.0),
-        ),
-    ),
+    st.tuples(st.floats(0.0, 15.0), st.one_of(st.sampled_from(["pause", "resume", "abort"]), st.floats(0.05, 3.0))),
     max_size=8,
 )
 
 
-@settings(max_examples=examples(150))
+@settings(max_examples=examples(80))
 @given(orders, st.floats(0.05, 3.0), st.sampled_from([SQUARE, LINE]))
 def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration(
     steps: list[tuple[float, str | float]], factor: float, trajectory: Trajectory

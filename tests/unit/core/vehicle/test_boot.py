@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from skygcs.core.vehicle.boot import CONFIRM_S, JITTER_MS, WRAP_MS, BootClock
@@ -13,6 +15,33 @@ def test_a_clock_that_goes_back_is_a_reboot_told_once() -> None:
     assert clock.on_boot_ms(2_000, 20.0)
     assert not clock.on_boot_ms(3_000, 21.0)
     assert clock.uptime_s(22.0) == pytest.approx(4.0)
+
+
+@each("old_ms, silent_s, new_ms", [(3_272, 4.9, 2_636), (10_000, 15.0, 12_000)])
+def test_one_that_had_just_begun_and_begins_again_is_a_reboot(old_ms: int, silent_s: float, new_ms: int) -> None:
+    """The first was seen with a PX4 that was killed 3 s after its start, and took as long to start again."""
+    clock = BootClock()
+    assert not clock.on_boot_ms(old_ms, 0.0)
+    # in bursts, one each second
+    reported = [clock.on_boot_ms(new_ms + 100 * n, silent_s + n // 10) for n in range(100)]
+    assert reported.index(True) == pytest.approx(10 * CONFIRM_S, abs=10) and sum(reported) == 1
+
+
+@each("rate", [1.6, 3.0, 10.0])
+def test_frames_that_a_radio_had_kept_for_longer_than_it_is_up_are_no_reboot(rate: float) -> None:
+    """It is up for 5 s, and is not heard for 30 s; what it sent meanwhile comes then, faster than it was sent."""
+    clock = BootClock()
+    sent_ms = range(1_000, 90_000, 100)
+    came_s = [at_ms / 1000 if at_ms < 5_000 else max(at_ms / 1000, 35 + (at_ms / 1000 - 5) / rate) for at_ms in sent_ms]
+    assert not any(itertools.starmap(clock.on_boot_ms, zip(sent_ms, came_s, strict=True)))
+    assert clock.went_back_at is None
+    assert clock.on_boot_ms(1_000, 95.0), "its next reboot is one"
+
+
+def test_a_silence_of_a_young_vehicle_is_no_reboot() -> None:
+    clock = BootClock()
+    assert not clock.on_boot_ms(3_000, 0.0)
+    assert not clock.on_boot_ms(22_500, 20.0)
 
 
 def test_frames_out_of_order_are_no_reboot() -> None:

@@ -14,15 +14,18 @@ def event(kind: str = "mode", vehicle: str | None = "v1", text: str = "x", **dat
     return Event(kind, vehicle, 1, text, data)
 
 
-def test_a_few_events_pass_as_they_are_and_at_once() -> None:
-    limiter = EventLimiter()
+@pytest.fixture
+def limiter() -> EventLimiter:
+    return EventLimiter()
+
+
+def test_a_few_events_pass_as_they_are_and_at_once(limiter: EventLimiter) -> None:
     given = [event(text=str(i)) for i in range(STATE.burst)]
     assert [limiter.offer(e, 0.01 * i) for i, e in enumerate(given)] == [(e,) for e in given]
     assert limiter.withheld == 0
 
 
-def test_further_ones_are_summed_up_and_the_newest_passes_at_the_end_of_the_period() -> None:
-    limiter = EventLimiter()
+def test_further_ones_are_summed_up_and_the_newest_passes_at_the_end_of_the_period(limiter: EventLimiter) -> None:
     for i in range(STATE.burst + 40):
         limiter.offer(event(text=f"mode {i}", mode=i), 1.0)
     assert limiter.tick(1.0 + STATE.period_s - 0.01) == ()
@@ -32,15 +35,13 @@ def test_further_ones_are_summed_up_and_the_newest_passes_at_the_end_of_the_peri
     assert limiter.withheld == 39 and limiter.tick(100.0) == ()
 
 
-def test_one_that_was_alone_withheld_passes_unchanged() -> None:
-    limiter = EventLimiter()
+def test_one_that_was_alone_withheld_passes_unchanged(limiter: EventLimiter) -> None:
     for i in range(STATE.burst + 1):
         limiter.offer(event(text=str(i)), 0.0)
     assert limiter.tick(1.0) == (event(text=str(STATE.burst)),)
 
 
-def test_after_a_quiet_while_the_whole_burst_is_there_again() -> None:
-    limiter = EventLimiter()
+def test_after_a_quiet_while_the_whole_burst_is_there_again(limiter: EventLimiter) -> None:
     for _ in range(STATE.burst + 1):
         limiter.offer(event(), 0.0)
     limiter.tick(1.0)
@@ -49,24 +50,21 @@ def test_after_a_quiet_while_the_whole_burst_is_there_again() -> None:
     assert sum(len(limiter.offer(event(), now)) for _ in range(STATE.burst)) == STATE.burst
 
 
-def test_vehicles_and_kinds_do_not_use_up_each_others_share() -> None:
-    limiter = EventLimiter()
+def test_vehicles_and_kinds_do_not_use_up_each_others_share(limiter: EventLimiter) -> None:
     for _ in range(1000):
         limiter.offer(event("statustext", level=6), 0.0)
     other = [event("statustext", vehicle="v2", level=6), event("failsafe"), event("statustext", level=2, text="Crash")]
     assert [limiter.offer(e, 0.0) for e in other] == [(e,) for e in other]
 
 
-def test_what_undoes_each_other_is_summed_up_together() -> None:
-    limiter = EventLimiter()
+def test_what_undoes_each_other_is_summed_up_together(limiter: EventLimiter) -> None:
     for i in range(101):
         limiter.offer(event("disarmed" if i % 2 else "armed"), 0.0)
     (summary,) = limiter.tick(1.0)
     assert summary.kind == "armed"
 
 
-def test_at_the_end_nothing_is_kept_back() -> None:
-    limiter = EventLimiter()
+def test_at_the_end_nothing_is_kept_back(limiter: EventLimiter) -> None:
     for i in range(TEXT.burst + 5):
         limiter.offer(event("statustext", text=str(i)), 0.0)
     (last,) = limiter.flush(0.5)
@@ -74,8 +72,7 @@ def test_at_the_end_nothing_is_kept_back() -> None:
     assert limiter.flush(0.6) == ()
 
 
-def test_a_flood_of_sources_does_not_grow_the_table() -> None:
-    limiter = EventLimiter()
+def test_a_flood_of_sources_does_not_grow_the_table(limiter: EventLimiter) -> None:
     for i in range(20 * MAX_SOURCES):
         limiter.offer(event(vehicle=f"v{i}"), 0.0)
     assert len(limiter._buckets) <= MAX_SOURCES + 1

@@ -93,6 +93,19 @@ def test_one_that_was_armed_just_now_is_idle_once_it_is_seen_on_the_ground() -> 
         assert why is None if said is None else said in str(why), ago_s
 
 
+def test_one_that_is_being_armed_is_not_idle_until_heartbeats_have_followed() -> None:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=False), NOW - 1.0)
+    vehicle.on_frame(voice.landed(1), NOW)
+    vehicle.arming_at, vehicle.arming_until = NOW, NOW + 3.0
+    assert why_not_idle(vehicle, NOW + 3.0) == "it is being armed"
+    assert why_not_idle(vehicle, NOW + 3.1) is None, "it was not armed by that"
+    for armed, at in ((True, NOW + 0.5), (False, NOW + 1.0)):
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=armed), at)
+    vehicle.on_frame(voice.landed(1), NOW + 1.1)
+    assert why_not_idle(vehicle, NOW + 1.2) is None, "it was armed, and is seen disarmed on the ground again"
+
+
 def test_what_was_on_the_ground_before_it_was_armed_may_have_left_it() -> None:
     for landed_ago_s in (2.0, 1.0):
         vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)

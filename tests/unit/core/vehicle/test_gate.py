@@ -35,7 +35,8 @@ from skygcs.core.vehicle.stick_modes import mode_refusal, needs_sticks
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, VehicleModel
 from skygcs.errors import RefusedError
-from support.source_trees import SRC, source_files, tree_of
+from support.source_trees import SRC, source_files
+from support.table import each
 
 DIALECT = load_dialect("ardupilotmega")
 COMMANDS = {n: name.removeprefix("MAV_CMD_") for n, name in DIALECT.enums["MAV_CMD"].items()}
@@ -116,7 +117,7 @@ def test_the_checked_order_is_named_and_what_is_never_right_is_not_insisted_on()
         assert "never" in (refusal(STANDING, name, force=True) or "")
 
 
-@pytest.mark.parametrize("param1", [1.0, 0.4, -1.0, 1e-40, math.nan, math.inf])
+@each("param1", [1.0, 0.4, -1.0, 1e-40, math.nan, math.inf])
 def test_whatever_is_not_plainly_a_disarming_counts_as_arming(param1: float) -> None:
     rule = command_rule(400, param1, "COMPONENT_ARM_DISARM")
     assert rule.level is Level.FORCE and rule.instead == "arm"
@@ -185,6 +186,9 @@ def test_modes_flown_by_sticks_are_refused_in_the_air_without_any() -> None:
                 assert mode_refusal(ground, number, force=False) is None
     low = mode_refusal(model(sticks=Sticks.LOW), 5, force=False)
     assert low is not None and "throttle stick is down" in low and "sink" in low
+    assert "sink" not in str(mode_refusal(FLYING, 5, force=False)), "without any it stays or drifts"
+    for sticks in (Sticks.LOW, Sticks.ABSENT):
+        assert "would fall" in str(mode_refusal(model(sticks=sticks), 0, force=False))
     for perhaps in (Sticks.UNKNOWN, Sticks.SEEN):  # a pilot may be there
         assert mode_refusal(model(sticks=perhaps), 0, force=True) is None
         assert mode_refusal(model(sticks=perhaps), 0, force=False) is not None
@@ -192,7 +196,7 @@ def test_modes_flown_by_sticks_are_refused_in_the_air_without_any() -> None:
         assert mode_refusal(FLYING, mode("ardupilot", autonomous), force=False) is None
 
 
-@pytest.mark.parametrize(("family", "fields"), [("ardupilot", {"param2": 0.0}), ("px4", {"param2": 1.0})])
+@each(("family", "fields"), [("ardupilot", {"param2": 0.0}), ("px4", {"param2": 1.0})])
 def test_a_falling_mode_is_refused_by_every_door(family: str, fields: dict[str, Any]) -> None:
     flies = model(family)
     custom_mode = 0 if family == "ardupilot" else 1 << 16
@@ -203,6 +207,10 @@ def test_a_falling_mode_is_refused_by_every_door(family: str, fields: dict[str, 
         clear_plan(flies, Plan("mode", (Step("mode", spec),), "", force=True))
     with pytest.raises(RefusedError) as by_raw:
         clear_plan(flies, Plan("command", (Step("mode", spec),), "", force=True))
+    named = {(): "STABILIZE"} if family == "ardupilot" else {(1.0,): "MANUAL", (7.0,): "STABILIZED", (1.0, 3.0): "None"}
+    for values, name in named.items():  # mode 0 if none is named
+        asked = dict(zip(("param2", "param3"), values, strict=False))
+        assert name in str(refusal(flies, "COMMAND_LONG", command=176, force=True, **asked)), values
     other = Step("interval", CommandSpec(511))
     for step in (replace(other, instead=(Step("mode", spec),)), replace(other, undo=Step("mode", spec))):
         with pytest.raises(RefusedError) as by_way:
@@ -237,8 +245,8 @@ def answer(door: Callable[..., Clearance], *asked: Any, **options: Any) -> Clear
         return str(error)
 
 
-@pytest.mark.parametrize("force", [False, True])
-@pytest.mark.parametrize("models", [(), (STANDING,), (FLYING,), (STANDING, FLYING), (FLYING, model("px4"))])
+@each("force", [False, True])
+@each("models", [(), (STANDING,), (FLYING,), (STANDING, FLYING), (FLYING, model("px4"))])
 def test_a_raw_command_gets_the_same_answer_by_every_door(models: tuple[VehicleModel, ...], force: bool) -> None:
     """As a message, as a command to a component, and as the order of one vehicle."""
     for number, name in COMMANDS.items():
@@ -278,9 +286,7 @@ def test_only_the_stop_order_is_sent_without_authority() -> None:
     assert not gate.is_exempt(None)
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "mav_type"), [(12, 2), (12, 20), (12, 10), (3, 2), (3, 1), (3, 20), (3, 10), (3, 12)]
-)
+@each(("autopilot", "mav_type"), [(12, 2), (12, 20), (12, 10), (3, 2), (3, 1), (3, 20), (3, 10), (3, 12)])
 def test_a_mode_needs_sticks_where_the_gate_refuses_it_without_any(autopilot: int, mav_type: int) -> None:
     vehicle = Vehicle(1, 1, DIALECT, name="alpha")
     beat = {"type": mav_type, "autopilot": autopilot, "base_mode": 0x81, "mavlink_version": 3}
@@ -299,6 +305,7 @@ def test_a_mode_needs_sticks_where_the_gate_refuses_it_without_any(autopilot: in
 def test_an_order_sends_only_what_its_row_names() -> None:
     hold = clear_plan(FLYING, Plan("hold", (Step("brake", CommandSpec(176, (1.0, 17.0, 0.0))),), ""))
     assert hold.covers("COMMAND_LONG", {"command": 176}) and not hold.covers("COMMAND_LONG", {"command": 400})
+    assert not Clearance("command", frozenset(), frozenset({1})).covers("COMMAND_LONG", {}), "it names none"
     assert not hold.covers("PARAM_SET", {}) and hold.covers("SET_MODE", {})
     with pytest.raises(RefusedError, match="not in its row"):
         clear_plan(FLYING, Plan("hold", (Step("kill", CommandSpec(185, (1.0,))),), ""))
@@ -343,7 +350,10 @@ def test_nothing_but_the_hub_makes_a_message_of_ours_and_nothing_but_the_gate_a_
         where = path.relative_to(SRC).as_posix()
         if where.startswith(("sim/", "tlog/", "web/")):  # they send to nobody: simulated vehicles, and logs
             continue
-        for node in ast.walk(tree_of(path)):
+        text = path.read_text(encoding="utf-8")
+        if not any(name in text for name in calls):
+            continue
+        for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.ImportFrom) and node.module == gate.__name__:
                 calls["standing"] |= {where for alias in node.names if alias.name == "standing"}
             if isinstance(node, ast.Call):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.flight_evidence import FALL_S, LandingWatch
 from skygcs.core.vehicle.vehicle import Vehicle
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -81,8 +81,8 @@ class Landing:
             self.at(now, height_m)
 
 
-@pytest.mark.parametrize("home_moves", [True, False])
-@pytest.mark.parametrize("ground_m", [0.0, 6.0, -8.0])
+@each("home_moves", [True, False])
+@each("ground_m", [0.0, 6.0, -8.0])
 def test_a_landing_on_any_ground_is_one(ground_m: float, home_moves: bool) -> None:
     landing = Landing()
     landing.come_down(2.5, ground_m=ground_m)
@@ -94,8 +94,8 @@ def test_a_landing_on_any_ground_is_one(ground_m: float, home_moves: bool) -> No
     assert (landing.landed(), landing.why()) == (True, "")
 
 
-@pytest.mark.parametrize("home_moves", [True, False])
-@pytest.mark.parametrize("ground_m", [0.0, -8.0])
+@each("home_moves", [True, False])
+@each("ground_m", [0.0, -8.0])
 def test_a_vehicle_switched_off_in_the_air_has_fallen(ground_m: float, home_moves: bool) -> None:
     """A home that moves to where it lies makes no landing of it."""
     landing = Landing()
@@ -118,7 +118,7 @@ def test_a_fall_is_seen_though_the_heartbeats_around_it_are_lost() -> None:
     assert landing.landed(20.0) is False and "12 m higher" in landing.why(20.0)
 
 
-@pytest.mark.parametrize("shown", ["positions", "speeds"])
+@each("shown", ["positions", "speeds"])
 def test_a_vehicle_killed_while_it_stays_armed_has_fallen_without_any_text(shown: str) -> None:
     """PX4 disarms COM_KILL_DISARM (5 s) after the kill: it lies on the ground armed by then."""
     landing = Landing()
@@ -135,7 +135,7 @@ def test_a_vehicle_killed_while_it_stays_armed_has_fallen_without_any_text(shown
     assert landing.landed() is False and "came to the ground at" in landing.why()
 
 
-@pytest.mark.parametrize("interval_s", [0.5, 2.0])
+@each("interval_s", [0.5, 2.0])
 def test_a_fast_descent_that_ends_with_a_slow_landing_is_none(interval_s: float) -> None:
     landing = Landing()
     height_m, now = 40.0, -20.0
@@ -150,7 +150,7 @@ def test_a_fast_descent_that_ends_with_a_slow_landing_is_none(interval_s: float)
     assert (landing.landed(), landing.why()) == (True, "")
 
 
-@pytest.mark.parametrize("missing", ["position", "attitude"])
+@each("missing", ["position", "attitude"])
 def test_silence_is_no_evidence_of_a_landing(missing: str) -> None:
     landing = Landing()
     landing.come_down(2.5)
@@ -174,7 +174,7 @@ def test_a_forged_heartbeat_of_a_hovering_vehicle_is_no_landing() -> None:
     assert landing.landed() is None and "in the air" in landing.why()
 
 
-@pytest.mark.parametrize(
+@each(
     "words",
     [
         "Crash: Disarming: AngErr=40>30, Accel=1.2<3.0",  # ArduCopter/crash_check.cpp
@@ -197,7 +197,7 @@ def test_the_words_of_a_firmware_count_from_the_start_on(words: str) -> None:
     assert landing.landed() is False and landing.why() == f"its autopilot reports {words.strip()!r}"
 
 
-@pytest.mark.parametrize("words", ["Disarmed by landing\t", "Disarming motors", "SIM Hit ground at 0.4 m/s"])
+@each("words", ["Disarmed by landing\t", "Disarming motors", "SIM Hit ground at 0.4 m/s"])
 def test_the_words_of_a_landing_do_not(words: str) -> None:
     landing = Landing()
     landing.come_down(2.5)
@@ -206,9 +206,7 @@ def test_the_words_of_a_landing_do_not(words: str) -> None:
     assert landing.landed()
 
 
-@pytest.mark.parametrize(
-    ("roll_deg", "pitch_deg", "lies"), [(88, 0, True), (0, 180, True), (-30, 50, True), (25, 20, False)]
-)
+@each(("roll_deg", "pitch_deg", "lies"), [(88, 0, True), (0, 180, True), (-30, 50, True), (25, 20, False)])
 def test_a_vehicle_on_its_side_has_crashed(roll_deg: float, pitch_deg: float, lies: bool) -> None:
     landing = Landing()
     landing.come_down(2.5)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import struct
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink import mav_cmd
@@ -23,6 +22,7 @@ from skygcs.core.vehicle.mission_orders import (
     mission_settings,
 )
 from skygcs.core.vehicle.vehicle import Vehicle
+from support.table import each
 from support.vehicles import ARDUPILOT, PX4, PX4_LOITER, Voice, flight_dialect
 
 NOW, GUIDED, INT32 = 100.0, 4, 6
@@ -61,7 +61,7 @@ def alone(vehicle: Vehicle) -> MissionSetting:
     return next(found for found in mission_settings(vehicle) if found.check == ALONE)
 
 
-@pytest.mark.parametrize(("restart", "fits"), [(None, None), (0, True), (1, False)])
+@each(("restart", "fits"), [(None, None), (0, True), (1, False)])
 def test_a_mission_that_begins_anew_after_a_stop_is_found(restart: int | None, fits: bool | None) -> None:
     vehicle = vehicle_with(ARDUPILOT, (0, None), restart)
     (found,) = [found for found in mission_settings(vehicle) if found.check == RESUMED]
@@ -70,13 +70,9 @@ def test_a_mission_that_begins_anew_after_a_stop_is_found(restart: int | None, f
     assert [found.check for found in mission_settings(px4)] == [ALONE]
 
 
-@pytest.mark.parametrize(("autopilot", "action", "exceptions", "goes_on", "remedy"), FLIGHTS)
+@each(("autopilot", "action", "exceptions", "goes_on", "remedy"), FLIGHTS)
 def test_a_mission_goes_on_where_the_firmware_lets_it(
-    autopilot: int,
-    action: int | None,
-    exceptions: int | None,
-    goes_on: bool | None,
-    remedy: tuple[str, float] | None,
+    autopilot: int, action: int | None, exceptions: int | None, goes_on: bool | None, remedy: tuple[str, float] | None
 ) -> None:
     vehicle = vehicle_with(autopilot, (action, exceptions))
     found = alone(vehicle)

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import itertools
 
-import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass, abilities_of
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.vehicle.flight_evidence import Landed
-from skygcs.core.vehicle.mission_orders import Phase, Turn, ends_on_ground, last_moving, next_turn
+from skygcs.core.vehicle.mission_orders import (
+    HomeWatch,
+    Phase,
+    Turn,
+    ends_on_ground,
+    is_at_home,
+    last_moving,
+    next_turn,
+)
+from skygcs.core.vehicle.vehicle import Vehicle
+from support.table import each
+from support.vehicles import HOME, Voice, flight_dialect
 
 DOWN, CRASHED, UNKNOWN = Landed(True, ""), Landed(False, "it lies"), Landed(None, "no attitude has come")
 ON_ITS_WAY = Turn("v1", True, True, True, False, False, False, True, landed=DOWN)
@@ -18,7 +30,7 @@ ENDING = ON_ITS_WAY._replace(ending=True, returns=True)
 EARLY = "v1 is on the ground before the last item of its mission"
 
 
-@pytest.mark.parametrize(
+@each(
     ("flown", "next_", "why"),
     [
         (ON_ITS_WAY, "wait", ""),
@@ -35,6 +47,11 @@ EARLY = "v1 is on the ground before the last item of its mission"
         (ENDING._replace(mode="RTL", lands=False), "wait", ""),
         (ENDING._replace(mode="RTL", at_home=True), "wait", ""),
         (ON_ITS_WAY._replace(lands=False, at_home=True), "wait", ""),
+        # a PX4 reports a return as reached when it begins
+        (ENDING._replace(mode="AUTO.RTL", complete=True, lands=False), "wait", ""),
+        (ENDING._replace(mode="AUTO.RTL", complete=True, lands=False, at_home=True), "start", "v1 has returned"),
+        # it may begin above its home, and stand there before it climbs
+        (ENDING._replace(mode="AUTO.RTL", complete=True, lands=False, at_home=True, home_s=4.9), "wait", ""),
         # a crash that disarms, and whoever else flies it
         (ENDING._replace(flying=False, armed=False, landed=CRASHED), "end", "v1 has not landed: it lies"),
         (ENDING._replace(landed=CRASHED), "end", "v1 has not landed: it lies"),
@@ -69,11 +86,11 @@ def test_nobody_starts_while_the_one_before_is_taken_over_in_trouble_or_in_the_a
         if next_turn(flown).next == "start":
             assert flown.heard and not flown.failsafe and not flown.ordered
             over = flown.complete or (flown.ending and flown.returns and flown.at_home)
-            assert not flown.armed or (over and not flown.lands)
+            assert not flown.armed or (over and not flown.lands and (flown.at_home or not flown.returns))
             assert mode in modes[:4] and (over or (flown.lands and flown.ending))
 
 
-@pytest.mark.parametrize(
+@each(
     ("flown", "phase"),
     [
         (ON_ITS_WAY, Phase.NEXT_ITEM),
@@ -102,7 +119,7 @@ def test_a_mission_ends_on_the_ground_by_its_last_item_that_moves() -> None:
     assert last_moving([waypoint, land, speed]) == 2 and last_moving([speed]) is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("family", "kind", "lands"),
     [
         ("px4", "copter", True),
@@ -121,7 +138,7 @@ def test_a_return_ends_on_the_ground_or_may_by_the_class(family: Family, kind: s
     assert ends_on_ground([MissionItem(16), MissionItem(21)], end)
 
 
-@pytest.mark.parametrize(
+@each(
     ("end", "lands"),
     [
         (ReturnEnd.LANDS_ON_ROTORS, True),
@@ -129,13 +146,50 @@ def test_a_return_ends_on_the_ground_or_may_by_the_class(family: Family, kind: s
         (ReturnEnd.BY_MISSION, True),
         (ReturnEnd.NOT_KNOWN, True),  # it is waited for
         (ReturnEnd.CIRCLES, False),
+        (ReturnEnd.HOLDS, False),
+        (ReturnEnd.LANDS, True),
     ],
 )
-def test_a_planes_return_ends_on_the_ground_by_its_end(end: ReturnEnd, lands: bool) -> None:
+def test_a_return_ends_on_the_ground_by_its_end(end: ReturnEnd, lands: bool) -> None:
     assert ends_on_ground([MissionItem(16), MissionItem(20)], end) is lands
 
 
+@each(
+    ("up_mps", "north_mps", "away_m", "at_home"),
+    [(0.0, 0.1, 0.0, True), (-1.0, 0.0, 0.0, False), (0.0, 2.0, 0.0, False), (0.0, 0.0, 20.0, False)],
+)
+def test_one_that_holds_at_its_home_stands_there_and_does_not_sink(
+    up_mps: float, north_mps: float, away_m: float, at_home: bool
+) -> None:
+    """PX4: it sinks to RTL_DESCEND_ALT there."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect()), Voice()
+    lat_deg, lon_deg, _ = EnuFrame(Origin(*HOME)).to_geodetic(0.0, away_m, 0.0)
+    ned_cmps = (round(100 * north_mps), 0, round(-100 * up_mps))
+    home = mav.MAVLink_home_position_message(
+        round(HOME[0] * 1e7), round(HOME[1] * 1e7), 488_100, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0
+    )
+    for frame in (voice.say(mav.MAVLink_heartbeat_message(2, 12, 0x81, 0, 4, 3)), voice.say(home)):
+        vehicle.on_frame(frame, 1.0)
+    vehicle.on_frame(voice.position(lat_deg, lon_deg, HOME[2] + 30, 30.0, velocity=ned_cmps), 1.0)
+    assert is_at_home(vehicle, flying=True) is at_home
+    assert is_at_home(vehicle, flying=False) is (at_home or up_mps < 0.0), "the noise of a receiver on the ground"
+
+
+def test_it_is_at_home_for_as_long_as_it_has_stayed_there_without_a_break() -> None:
+    vehicle, voice, watch = Vehicle(1, 1, flight_dialect()), Voice(), HomeWatch()
+    home = mav.MAVLink_home_position_message(
+        round(HOME[0] * 1e7), round(HOME[1] * 1e7), 488_100, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0
+    )
+    for frame in (voice.say(mav.MAVLink_heartbeat_message(2, 12, 0x81, 0, 4, 3)), voice.say(home)):
+        vehicle.on_frame(frame, 1.0)
+    stays = []
+    for now, up_cmps in ((1.0, 0), (3.0, 0), (4.0, 100), (5.0, 0), (9.5, 0)):
+        vehicle.on_frame(voice.position(*HOME[:2], HOME[2] + 30, 30.0, velocity=(0, 0, -up_cmps)), now)
+        stays.append(watch.stays_s(vehicle, now, flying=True))
+    assert stays == [0.0, 2.0, 0.0, 0.0, 4.5]
+
+
 def test_a_rover_that_has_disarmed_at_its_home_has_come_to_the_end_of_its_mission() -> None:
-    home = ENDING._replace(mode="AUTO.RTL", lands=False, flying=False, armed=False, at_home=True)
+    home = ENDING._replace(mode="AUTO.RTL", lands=False, flying=False, armed=False, at_home=True, home_s=0.0)
     assert next_turn(home) == ("start", "v1 has landed")
     assert next_turn(home._replace(at_home=False)).next == "end"

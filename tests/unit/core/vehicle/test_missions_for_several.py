@@ -33,6 +33,7 @@ from skygcs.core.vehicle.formation import (
     for_several,
     least_step_m,
 )
+from support.table import each
 
 HOME = (43.7806, -79.4653)
 GROUND_AMSL_M = 180.0
@@ -184,7 +185,7 @@ def test_landings_move_and_keep_their_height_and_the_rest_of_the_plan_is_the_sam
     assert beside.mission[3].z == 0.0
 
 
-@pytest.mark.parametrize(
+@each(
     ("plan", "arrangement", "places", "text"),
     [
         (MissionPlan(), Arrangement("heights"), [None, None], "no mission"),
@@ -213,8 +214,8 @@ def test_what_cannot_be_arranged_is_refused_in_words(
         for_several(plan, arrangement, places, [Footprint()] * 2)
 
 
-@pytest.mark.parametrize("command", sorted(FLOWN_OTHERWISE))
-@pytest.mark.parametrize("kind", ["heights", "line"])
+@each("command", sorted(FLOWN_OTHERWISE))
+@each("kind", ["heights", "line"])
 def test_what_sets_a_height_and_is_not_moved_is_refused(command: int, kind: Literal["heights", "line"]) -> None:
     plan = MissionPlan((*waypoints((0, 0, 10), (0, 50, 10)).mission, MissionItem(command, 3, z=40.0)))
     with pytest.raises(ValueError, match=r"item 3 .* cannot be moved"):

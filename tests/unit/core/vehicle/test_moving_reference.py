@@ -25,7 +25,7 @@ from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4
 from unit.core.vehicle.test_offboard_controller import Flight, place, texts
 
-KINDS = pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT], ids=["px4", "ardupilot"])
+KINDS = each("autopilot", [PX4, ARDUPILOT])
 POSITION, VELOCITY, ATTITUDE = ControlMode.POSITION, ControlMode.VELOCITY, ControlMode.ATTITUDE
 RTT_S = 0.2
 
@@ -63,11 +63,7 @@ def flown_place_m(values: dict[str, Any]) -> tuple[float, float, float]:
 # --- the reference between setpoints
 
 
-@given(
-    *(st.tuples(*[st.floats(-5, 5)] * 3) for _ in range(2)),
-    st.floats(0, 2),
-    st.floats(0, 2),
-)
+@given(*(st.tuples(*[st.floats(-5, 5)] * 3) for _ in range(2)), st.floats(0, 2), st.floats(0, 2))
 def test_moved_on_twice_is_moved_on_once(
     vel: tuple[float, float, float], acc: tuple[float, float, float], t: float, u: float
 ) -> None:
@@ -227,7 +223,7 @@ def test_the_place_a_velocity_led_to_stays_near_a_vehicle_that_does_not_follow()
 
 
 @KINDS
-@pytest.mark.parametrize("control_mode", [VELOCITY, POSITION])
+@each("control_mode", [VELOCITY, POSITION])
 def test_a_yaw_rate_goes_out_clockwise_with_a_yaw_or_alone(autopilot: int, control_mode: ControlMode) -> None:
     flight = Flight(autopilot).fly(control_mode)
     for yaw, mask in ((0.0, 0), (None, 1 << 10)):

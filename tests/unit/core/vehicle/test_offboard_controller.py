@@ -300,8 +300,12 @@ def test_the_message_is_that_of_the_way_and_the_pace_too(control_mode: ControlMo
     assert flight.pilot.period_s == pytest.approx({"attitude": 0.02, "velocity": 0.1, "position": 0.2}[control_mode])
 
 
-def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+@pytest.fixture
+def flight() -> Flight:
+    return Flight().fly(ControlMode.ATTITUDE)
+
+
+def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown(flight: Flight) -> None:
     told = flight.tick(0.51, fresh=False)
     assert told.message is not None and told.message[0] == MESSAGES[ControlMode.POSITION]
     assert "flown by position setpoints" in texts(told) and "0.5" in texts(told)
@@ -333,8 +337,7 @@ def test_the_wanted_way_is_tried_again_when_it_is_ordered_again() -> None:
     assert flight.pilot.guard_falls == {"position": 1}, "a rise is no fall"
 
 
-def test_the_memory_is_forgotten_on_a_change_of_way_and_only_then() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_the_memory_is_forgotten_on_a_change_of_way_and_only_then(flight: Flight) -> None:
     flight.pilot.fly_to(place(1.0, 1.0, 10.5), None)
     for _ in range(20):
         flight.tick()
@@ -361,8 +364,7 @@ def test_the_link_bounds_the_pace_of_attitude_but_never_below_what_can_be_flown(
         assert flight.pilot.period_s == pytest.approx(period_s)
 
 
-def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity(flight: Flight) -> None:
     flight.pilot.attitude_hz_allowed = 14.1
     tick = flight.tick()
     assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY] and "14" in texts(tick)
@@ -371,8 +373,7 @@ def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity() -> None
 # --- time
 
 
-def test_the_step_is_measured_and_not_assumed() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_the_step_is_measured_and_not_assumed(flight: Flight) -> None:
     flight.pilot.tracing = True
     for dt_s in (0.02, 0.013, 0.031):
         row = flight.tick(dt_s).row
@@ -382,8 +383,7 @@ def test_the_step_is_measured_and_not_assumed() -> None:
     assert row is not None and row.dt_s == 0.0
 
 
-def test_the_first_step_after_a_pause_is_no_step_of_that_pause() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_the_first_step_after_a_pause_is_no_step_of_that_pause(flight: Flight) -> None:
     flight.pilot.release("land was ordered")
     flight.now += 500.0
     flight.beat()
@@ -398,12 +398,7 @@ def test_the_first_step_after_a_pause_is_no_step_of_that_pause() -> None:
 # --- references
 
 
-@given(
-    st.floats(-2000, 2000),
-    st.floats(-2000, 2000),
-    st.floats(-20, 100),
-    st.floats(-10, 10) | st.none(),
-)
+@given(st.floats(-2000, 2000), st.floats(-2000, 2000), st.floats(-20, 100), st.floats(-10, 10) | st.none())
 def test_a_place_is_flown_to_exactly_and_a_yaw_kept_unless_given(
     east_m: float, north_m: float, up_m: float, yaw_rad: float | None
 ) -> None:
@@ -503,8 +498,7 @@ def test_the_fence_stands_on_earth_and_not_about_the_vehicle() -> None:
 # --- what is shown and traced
 
 
-def test_the_state_tells_what_is_flown() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_the_state_tells_what_is_flown(flight: Flight) -> None:
     flight.pilot.fly_to(place(3.0, -4.0, 10.0), None)
     flight.tick()
     status = flight.pilot.status(flight.now)
@@ -518,8 +512,7 @@ def test_the_state_tells_what_is_flown() -> None:
     assert off["rate_hz"] is None and off["thrust"] is None and off["reference"] is None and off["mode"] is None
 
 
-def test_rows_are_made_only_while_somebody_traces() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_rows_are_made_only_while_somebody_traces(flight: Flight) -> None:
     assert flight.tick().row is None
     flight.pilot.tracing = True
     tick = flight.tick()
@@ -577,8 +570,7 @@ happenings = st.one_of(
     st.tuples(numbers, numbers, numbers).map(lambda p: Happening(f"at {p}", lambda f: f.at(*p))),
     st.tuples(st.floats(-90, 90), st.floats(-180, 179.9), st.floats(-2e6, 2e6), st.integers(0, 65535)).map(
         lambda p: Happening(
-            f"anywhere {p}",
-            lambda f: f.vehicle.on_frame(f.voice.position(*p[:3], rel_m=0.0, heading=p[3]), f.now),
+            f"anywhere {p}", lambda f: f.vehicle.on_frame(f.voice.position(*p[:3], rel_m=0.0, heading=p[3]), f.now)
         )
     ),
     st.just(Happening("no position", lambda f: f.vehicle.on_frame(f.voice.position(0.0, 0.0), f.now))),
@@ -590,8 +582,7 @@ happenings = st.one_of(
     ),
     st.tuples(vectors, vectors, st.booleans(), st.booleans()).map(
         lambda s: Happening(
-            f"follow {s}",
-            lambda f: _follow(f, Setpoint(place(*s[0]), s[1], s[1], 1.0, free_xy=s[2], free_z=s[3])),
+            f"follow {s}", lambda f: _follow(f, Setpoint(place(*s[0]), s[1], s[1], 1.0, free_xy=s[2], free_z=s[3]))
         )
     ),
     vectors.map(lambda p: Happening(f"fly to {p}", lambda f: _go(f, place(*p)))),
@@ -656,8 +647,7 @@ def test_the_equator_and_the_first_meridian_are_places_like_any_other(
     assert tick.message is not None and tick.message[0] == MESSAGES[control_mode]
 
 
-def test_a_new_hover_thrust_makes_no_step_in_the_thrust() -> None:
-    flight = Flight().fly(ControlMode.ATTITUDE)
+def test_a_new_hover_thrust_makes_no_step_in_the_thrust(flight: Flight) -> None:
     before = flight.tick().message
     flight.pilot.change_law(replace(flight.pilot.config.law, hover_thrust=0.55))
     after = flight.tick().message

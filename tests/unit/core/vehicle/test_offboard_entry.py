@@ -138,6 +138,8 @@ def test_an_operator_is_told_what_a_vehicle_left_alone_would_do() -> None:
     assert offboard_entry.loss_text(px4, NOW) == note
     px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 5), NOW)
     assert offboard_entry.loss_note(px4, NOW) is None and "it holds" in offboard_entry.loss_text(px4, NOW)
+    px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 6), NOW)
+    assert "ends its flight (Terminate) and falls" in str(offboard_entry.loss_note(px4, NOW))
     copter, voice = flying(ARDUPILOT)
     copter.on_frame(param(voice, "FS_GCS_ENABLE", 0), NOW)
     assert "FS_GCS_ENABLE is 0" in str(offboard_entry.loss_note(copter, NOW))

@@ -13,8 +13,7 @@ from pymavlink.quaternion import QuaternionBase
 
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle import setpoint
-from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, raw_from_world, up_part
-from skygcs.core.vehicle.raw_source import RawSource
+from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, RawSource, raw_from_world, up_part
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 from support.table import each

@@ -10,6 +10,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())
@@ -53,69 +54,45 @@ class Watched:
         return take_snapshot(self.vehicle, self.now)["position"]
 
 
-def test_it_is_where_it_stood_when_it_armed() -> None:
-    seen = Watched()
-    seen.hear()
-    assert (seen.position["takeoff_alt_amsl_m"], seen.position["alt_takeoff_m"]) == (None, None)
-    seen.hear(1, armed=True, up_m=0.2, climb_mps=1.0)
-    seen.hear(5, armed=True, landed=IN_AIR, up_m=12.0)
-    assert seen.position["takeoff_alt_amsl_m"] == HOME[2]
-    assert seen.position["alt_takeoff_m"] == pytest.approx(12.0)
+Heard = dict[str, Any]
+STANDS: Heard = {}
+FLIES: Heard = {"armed": True, "landed": IN_AIR, "up_m": 12.0}
+SILENT: Heard = {"landed": None}
 
 
-def test_an_autopilot_that_tells_no_landed_state_is_seen_to_stand_while_it_is_disarmed() -> None:
-    seen = Watched()
-    seen.hear(landed=None)
-    seen.hear(5, armed=True, landed=None, up_m=12.0)
-    assert seen.position["takeoff_alt_amsl_m"] == HOME[2]
-
-
-def test_met_in_the_air_nobody_knows() -> None:
-    seen = Watched()
-    seen.hear(20, armed=True, landed=IN_AIR, up_m=12.0)
-    assert (seen.position["takeoff_alt_amsl_m"], seen.position["alt_takeoff_m"]) == (None, None)
-
-
-def test_met_armed_on_the_ground_it_is_where_it_stands() -> None:
-    seen = Watched(ARDUPILOT)
-    seen.hear(3, armed=True)
-    seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
-    assert seen.position["takeoff_alt_amsl_m"] == HOME[2]
-
-
-def test_met_in_a_climb_that_the_landed_state_does_not_tell_yet_it_does_not_stand() -> None:
-    seen = Watched()
-    seen.hear(1, armed=True, up_m=3.0, climb_mps=1.5)
-    seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
-    assert seen.position["takeoff_alt_amsl_m"] is None
-
-
-def test_a_landing_elsewhere_without_disarming_is_the_next_take_off() -> None:
-    seen = Watched()
-    seen.hear()
-    seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
-    seen.hear(3, armed=True, up_m=5.0)
-    seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
-    assert seen.position["alt_takeoff_m"] == pytest.approx(7.0)
-
-
-def test_after_the_landing_it_is_kept_until_it_arms_again() -> None:
-    seen = Watched()
-    seen.hear()
-    seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
-    seen.hear(3, up_m=5.0)
-    assert seen.position["alt_takeoff_m"] == pytest.approx(5.0)
-    seen.hear(3, armed=True, up_m=5.0)
-    assert seen.position["alt_takeoff_m"] == pytest.approx(0.0)
-
-
-def test_without_a_position_there_is_none_until_one_comes() -> None:
-    seen = Watched()
-    seen.hear(position=False)
-    seen.hear(2, armed=True, position=False)
-    assert seen.vehicle.takeoff.alt_amsl_m is None
-    seen.hear(2, armed=True)
-    assert seen.vehicle.takeoff.alt_amsl_m == HOME[2]
+@each(
+    ("autopilot", "heard", "ground_m"),
+    [
+        # where it stood when it armed, though it climbs already
+        (PX4, [STANDS, {"seconds": 1, "armed": True, "up_m": 0.2, "climb_mps": 1.0}, FLIES], 0.0),
+        # without a landed state it stands while it is disarmed
+        (PX4, [SILENT, {**FLIES, **SILENT}], 0.0),
+        (PX4, [STANDS], None),
+        (PX4, [FLIES], None),
+        # met armed on the ground; in a climb that the landed state does not show yet
+        (ARDUPILOT, [{"armed": True}, FLIES], 0.0),
+        (PX4, [{"seconds": 1, "armed": True, "up_m": 3.0, "climb_mps": 1.5}, FLIES], None),
+        # a landing elsewhere without disarming is the next take-off; after one it is kept until it arms again
+        (PX4, [STANDS, FLIES, {"armed": True, "up_m": 5.0}, FLIES], 5.0),
+        (PX4, [STANDS, FLIES, {"up_m": 5.0}], 0.0),
+        (PX4, [STANDS, FLIES, {"up_m": 5.0}, {"armed": True, "up_m": 5.0}], 5.0),
+        # no position: none until one comes
+        (PX4, [{"position": False}, {"armed": True, "position": False}], None),
+        (PX4, [{"position": False}, {"armed": True, "position": False}, {"armed": True}], 0.0),
+    ],
+)
+def test_the_ground_is_where_it_was_seen_to_stand_when_it_armed(
+    autopilot: int, heard: list[Heard], ground_m: float | None
+) -> None:
+    seen = Watched(autopilot)
+    for what in heard:
+        seen.hear(**what)
+    assert seen.vehicle.takeoff.alt_amsl_m == (None if ground_m is None else pytest.approx(HOME[2] + ground_m))
+    if (position := seen.position) is not None:
+        up_m = heard[-1].get("up_m", 0.0)
+        above_m = None if ground_m is None else pytest.approx(up_m - ground_m)
+        assert position["takeoff_alt_amsl_m"] == seen.vehicle.takeoff.alt_amsl_m
+        assert position["alt_takeoff_m"] == above_m
 
 
 def test_armed_while_it_was_lost_is_not_where_it_was_last_seen() -> None:

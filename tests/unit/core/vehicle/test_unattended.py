@@ -41,8 +41,12 @@ class Rig:
         return found
 
 
-def test_a_vehicle_that_nobody_flies_any_more_is_held_within_a_second_and_again() -> None:
-    rig = Rig()
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def test_a_vehicle_that_nobody_flies_any_more_is_held_within_a_second_and_again(rig: Rig) -> None:
     assert rig.show(FLOWN, 5.0) == []
     (first, again) = rig.show(NOBODY, GRACE_S + REPEAT_S + 3 * TICK_S)
     assert first == (pytest.approx(GRACE_S, abs=TICK_S), HoldIt(US, again=False))
@@ -64,9 +68,8 @@ def test_it_is_left_alone_while(why: str, facts: Watched) -> None:
     assert rig.show(facts, 20.0) == [], why
 
 
-def test_of_two_streams_that_end_together_none_gives_a_second_to_the_other() -> None:
+def test_of_two_streams_that_end_together_none_gives_a_second_to_the_other(rig: Rig) -> None:
     """A program streamed beside our control, and both ended: held 1.3 s after the last setpoint."""
-    rig = Rig()
     for _ in range(10):
         rig.watch.on_station("250/190", "motion", rig.now)
         rig.show(FLOWN, TICK_S)
@@ -74,16 +77,14 @@ def test_of_two_streams_that_end_together_none_gives_a_second_to_the_other() -> 
     assert held_s <= GRACE_S + TICK_S and effect == HoldIt(US, again=False)
 
 
-def test_of_two_streams_the_one_that_goes_on_flies_it() -> None:
-    rig = Rig()
+def test_of_two_streams_the_one_that_goes_on_flies_it(rig: Rig) -> None:
     for facts in (FLOWN,) * 10 + (NOBODY,) * 50:
         rig.watch.on_station("250/190", "motion", rig.now)
         assert rig.show(facts, TICK_S) == []
 
 
-def test_an_order_that_was_denied_meanwhile_gives_no_further_grace() -> None:
+def test_an_order_that_was_denied_meanwhile_gives_no_further_grace(rig: Rig) -> None:
     """A program had ended 0.2 s before a mission was ordered and denied: held 2.3 s after the last setpoint."""
-    rig = Rig()
     rig.show(FLOWN, 1.0)
     assert rig.show(replace(NOBODY, ordered=True), 0.8) == []
     ((at, effect),) = rig.show(NOBODY, 1.0)
@@ -94,9 +95,8 @@ def test_one_that_was_in_the_mode_when_it_was_heard_first_is_left_alone() -> Non
     assert Rig().show(NOBODY, 20.0) == []
 
 
-def test_one_that_was_flown_between_two_looks_only_is_held() -> None:
+def test_one_that_was_flown_between_two_looks_only_is_held(rig: Rig) -> None:
     """Control that was ended while it was being engaged had sent one setpoint, and no tick had seen it."""
-    rig = Rig()
     rig.watch.on_order("goto")
     assert rig.show(NOBODY, 5.0) == []
     rig.watch.on_flown(US, rig.now)
@@ -104,9 +104,8 @@ def test_one_that_was_flown_between_two_looks_only_is_held() -> None:
     assert at <= 0.5 and effect == HoldIt(US, again=False)
 
 
-def test_one_that_was_given_up_before_its_mode_was_seen_is_held() -> None:
+def test_one_that_was_given_up_before_its_mode_was_seen_is_held(rig: Rig) -> None:
     """It stood in LOITER; control sent setpoints and the mode, and was ended by an order that was denied."""
-    rig = Rig()
     assert rig.show(LOITER, 20.0) == []
     assert rig.show(replace(LOITER, flown_by=US), 1.0) == []
     assert rig.show(LOITER, 0.6) == []
@@ -117,8 +116,7 @@ def test_one_that_was_given_up_before_its_mode_was_seen_is_held() -> None:
     assert rig.show(NOBODY, 20.0) == []
 
 
-def test_a_station_whose_stream_ended_before_the_mode_was_seen_leaves_one_that_is_held() -> None:
-    rig = Rig()
+def test_a_station_whose_stream_ended_before_the_mode_was_seen_leaves_one_that_is_held(rig: Rig) -> None:
     assert rig.show(LOITER, 20.0) == []
     for _ in range(3):
         rig.watch.on_station("250/190", "motion", rig.now)
@@ -142,8 +140,7 @@ def test_an_order_that_its_autopilot_carries_out_is_left_alone(order: str) -> No
     assert rig.show(NOBODY, 1.0), "setpoints have taken the order's place"
 
 
-def test_a_mode_that_others_changed_is_theirs_and_a_short_change_is_not() -> None:
-    rig = Rig()
+def test_a_mode_that_others_changed_is_theirs_and_a_short_change_is_not(rig: Rig) -> None:
     rig.show(FLOWN, 1.0)
     rig.show(LOITER, LEFT_S + 1.0)
     assert rig.show(NOBODY, 20.0) == []
@@ -153,8 +150,7 @@ def test_a_mode_that_others_changed_is_theirs_and_a_short_change_is_not() -> Non
     assert rig.show(NOBODY, 1.0), "one heartbeat may be forged"
 
 
-def test_the_stream_of_another_station_is_left_alone_until_it_ends() -> None:
-    rig = Rig()
+def test_the_stream_of_another_station_is_left_alone_until_it_ends(rig: Rig) -> None:
     for _ in range(50):
         rig.watch.on_station("255/190", "motion", rig.now)
         assert rig.show(NOBODY, TICK_S) == []
@@ -164,8 +160,7 @@ def test_the_stream_of_another_station_is_left_alone_until_it_ends() -> None:
     assert rig.show(NOBODY, 20.0) == [], "it holds there by itself"
 
 
-def test_a_hold_that_was_not_answered_is_confirmed_when_it_is_heard_again() -> None:
-    rig = Rig()
+def test_a_hold_that_was_not_answered_is_confirmed_when_it_is_heard_again(rig: Rig) -> None:
     rig.show(FLOWN, 1.0)
     rig.watch.on_hold(ok=False, unheard=True)
     assert rig.show(replace(NOBODY, heard=False), 10.0) == []
@@ -173,9 +168,8 @@ def test_a_hold_that_was_not_answered_is_confirmed_when_it_is_heard_again() -> N
     assert [effect for _, effect in rig.show(held, 10.0)] == [HoldsAfterAll("AUTO.LOITER")]
 
 
-def test_an_order_that_is_denied_changes_nothing_of_who_flies_it() -> None:
+def test_an_order_that_is_denied_changes_nothing_of_who_flies_it(rig: Rig) -> None:
     """It hovers by our order to hold: a mission that it denied had it held again, with an alarm."""
-    rig = Rig()
     rig.show(FLOWN, 5.0)
     rig.watch.on_order("hold")
     assert rig.show(NOBODY, 5.0) == []
@@ -187,8 +181,7 @@ def test_an_order_that_is_denied_changes_nothing_of_who_flies_it() -> None:
     assert [effect for _, effect in rig.show(NOBODY, 1.0)] == [HoldIt(US, again=False)]
 
 
-def test_what_a_restart_has_to_know_is_who_flew_it_unless_it_does_something_by_itself() -> None:
-    rig = Rig()
+def test_what_a_restart_has_to_know_is_who_flew_it_unless_it_does_something_by_itself(rig: Rig) -> None:
     assert rig.watch.owed_to is None
     rig.show(FLOWN, 1.0)
     assert rig.watch.owed_to == US

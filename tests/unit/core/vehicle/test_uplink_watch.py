@@ -15,13 +15,25 @@ ROOMY = 1_000.0
 
 
 class Air:
-    """A vehicle that answers after a round trip, on a link that loses some of it."""
+    """A vehicle that answers after a round trip, on a link that loses some of it. ``gap_s``: between its frames, which
+    are lost like its answers; 0: it was always heard just now."""
 
-    def __init__(self, *, up: float = 0.0, down: float = 0.0, trip_s: float = 0.05, thin: bool = False, seed: int = 1):
+    def __init__(
+        self,
+        *,
+        up: float = 0.0,
+        down: float = 0.0,
+        trip_s: float = 0.05,
+        thin: bool = False,
+        seed: int = 1,
+        gap_s: float = 0.0,
+    ):
         self.watch = UplinkWatch(first=seed)
         self.rng = random.Random(seed)
         self.up, self.down, self.trip_s, self.thin = up, down, trip_s, thin
         self.now = 100.0
+        self.heard_at = -1.0
+        self.gap_s, self.frame_at = gap_s, 100.0
         self.answers: list[tuple[float, int]] = []
         self.sent = 0
         self.changes: list[tuple[float, str]] = []
@@ -30,9 +42,12 @@ class Air:
         end = self.now + for_s
         while self.now < end:
             self.now = round(self.now + TICK_S, 3)
-            last_frame_at = -1.0 if silent else self.now - 0.3
+            if not silent:
+                self._hear()
+            last_frame_at = self.heard_at
             for at, token in [a for a in self.answers if a[0] <= self.now]:
                 self.answers.remove((at, token))
+                self.heard_at = max(self.heard_at, at)
                 ours, change = self.watch.answered(token, at)
                 assert ours
                 if change:
@@ -41,10 +56,19 @@ class Air:
                 self.changes.append((self.now, verdict))
             if self.watch.due(self.now, armed=armed, share_bytes_per_s=ROOMY if self.thin else math.inf):
                 token = self.watch.token()
-                self.watch.sent(token, self.now)
+                self.watch.sent(token, self.now, last_frame_at)
                 self.sent += 1
                 if not dead and self.rng.random() >= self.up and self.rng.random() >= self.down:
                     self.answers.append((self.now + self.trip_s, token))
+
+    def _hear(self) -> None:
+        if not self.gap_s:
+            self.heard_at = self.now - 0.3
+            return
+        while self.frame_at <= self.now:
+            if self.rng.random() >= self.down:
+                self.heard_at = max(self.heard_at, self.frame_at)
+            self.frame_at += self.gap_s
 
 
 @each(
@@ -59,7 +83,7 @@ class Air:
 )
 def test_a_dead_uplink_is_reported_soon(up: float, down: float, trip_s: float, thin: bool, within_s: float) -> None:
     delays = []
-    for seed in range(40):
+    for seed in range(16):
         air = Air(up=up, down=down, trip_s=trip_s, thin=thin, seed=seed)
         air.run(120 + seed * 0.07)
         assert air.changes == []
@@ -70,6 +94,31 @@ def test_a_dead_uplink_is_reported_soon(up: float, down: float, trip_s: float, t
         air.run(10)
         assert [change for _, change in air.changes] == ["lost", "back"] and not air.watch.lost
     assert sum(delays) / len(delays) <= within_s, delays
+
+
+@each(
+    ("gap_s", "loss", "thin", "within_s"),
+    [
+        (1.5, 0.0, True, 5.5),
+        (2.0, 0.0, False, 5.0),
+        (2.0, 0.0, True, 7.5),
+        (2.5, 0.0, False, 5.5),
+        (2.5, 0.0, True, 9.0),
+        (1.0, 0.4, False, 8.0),
+        (1.0, 0.4, True, 16.0),
+    ],
+)
+def test_a_dead_uplink_is_reported_with_sparse_telemetry(
+    gap_s: float, loss: float, thin: bool, within_s: float
+) -> None:
+    for seed in range(16):
+        air = Air(up=loss / 4, down=loss, trip_s=0.4 if thin else 0.05, thin=thin, seed=seed, gap_s=gap_s)
+        air.run(60 + seed * 0.2)
+        assert air.changes == []
+        died = air.now
+        air.run(30, dead=True)
+        assert [change for _, change in air.changes] == ["lost"]
+        assert air.changes[0][0] - died <= within_s, (seed, air.changes[0][0] - died)
 
 
 @each(("up", "down"), [(0.2, 0.0), (0.2, 0.2)])
@@ -99,7 +148,7 @@ def test_on_a_crowded_radio_probes_keep_to_their_share_also_in_doubt(share_bytes
             now = 2000.0 * dead + n * TICK_S
             if watch.due(now, armed=True, share_bytes_per_s=share_bytes_per_s):
                 token = watch.token()
-                watch.sent(token, now)
+                watch.sent(token, now, now)
                 sent[dead] += 1
                 if not dead:
                     watch.answered(token, now + 0.1)
@@ -115,6 +164,13 @@ def test_one_that_never_answers_and_one_that_is_not_heard_are_not_said_to_be_dea
     air.run(60)
     air.run(60, dead=True, silent=True)
     assert air.changes == [], "it is lost, which is reported as that"
+    # nor is one that was switched off and on, and is heard again before it answers
+    air = Air()
+    air.run(60)
+    air.run(4, dead=True, silent=True)
+    air.run(0.6, dead=True)
+    air.run(60)
+    assert air.changes == []
 
 
 def test_other_proof_counts_and_a_reboot_begins_anew() -> None:
@@ -147,5 +203,5 @@ def test_answers_to_others_are_none_of_ours() -> None:
     for token in (0, -1, 5, 2**63 - 1, -(2**63)):
         assert watch.answered(token, 1.0) == (False, None)
     for number in range(1000):
-        watch.sent(watch.token(), float(number))
+        watch.sent(watch.token(), float(number), float(number))
     assert watch.answered_at is None

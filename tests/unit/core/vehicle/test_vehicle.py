@@ -51,21 +51,28 @@ def test_an_unheard_vehicle_knows_nothing_and_says_so() -> None:
     assert all(state[section.name] is None for section in GROUPS)
 
 
-def test_the_state_has_exactly_the_keys_it_promises() -> None:
-    vehicle, voice = new()
+@pytest.fixture
+def vehicle() -> Vehicle:
+    return new()[0]
+
+
+@pytest.fixture
+def voice() -> Voice:
+    return Voice(1)
+
+
+def test_the_state_has_exactly_the_keys_it_promises(vehicle: Vehicle, voice: Voice) -> None:
     assert set(reported(vehicle, voice.beat())) == set(typing.get_type_hints(VehicleState))
 
 
-def test_some_keys_of_the_state_are_as_in_the_whole_of_it() -> None:
-    vehicle, voice = new()
+def test_some_keys_of_the_state_are_as_in_the_whole_of_it(vehicle: Vehicle, voice: Voice) -> None:
     whole = reported(vehicle, voice.beat(), voice.position())
     for key, value in whole.items():
         assert take_snapshot(vehicle, 10.0, names=frozenset({key, "no such key"})) == {key: value}
     assert take_snapshot(vehicle, 10.0, 1.7e9, frozenset({"name", "position"})).keys() == {"name", "position"}
 
 
-def test_a_heartbeat_tells_identity_mode_and_arming() -> None:
-    vehicle, voice = new()
+def test_a_heartbeat_tells_identity_mode_and_arming(vehicle: Vehicle, voice: Voice) -> None:
     state = reported(vehicle, voice.beat(PX4, PX4_TAKEOFF, armed=True, status=4))
     assert (state["autopilot"], state["type"], state["mode"]) == ("px4", "QUADROTOR", "AUTO.TAKEOFF")
     assert state["armed"] is True
@@ -73,8 +80,7 @@ def test_a_heartbeat_tells_identity_mode_and_arming() -> None:
     assert (state["name"], state["groups"], state["connected"]) == ("alpha", ["red"], True)
 
 
-def test_a_change_is_told_once_and_the_first_heartbeat_is_none() -> None:
-    vehicle, voice = new()
+def test_a_change_is_told_once_and_the_first_heartbeat_is_none(vehicle: Vehicle, voice: Voice) -> None:
     assert vehicle.on_frame(voice.beat(PX4, PX4_POSCTL, armed=True, status=4), 1.0) == ()
     assert kinds(vehicle.on_frame(voice.beat(PX4, PX4_LAND, armed=True, status=4), 2.0)) == ["mode"]
     assert vehicle.on_frame(voice.beat(PX4, PX4_LAND, armed=True, status=4), 3.0) == ()
@@ -84,8 +90,7 @@ def test_a_change_is_told_once_and_the_first_heartbeat_is_none() -> None:
     assert event.kind == "armed"
 
 
-def test_lost_and_back_are_told_once_each_with_the_time() -> None:
-    vehicle, voice = new()
+def test_lost_and_back_are_told_once_each_with_the_time(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(), 100.0)
     assert vehicle.tick(105.0) == ()
     (lost,) = vehicle.tick(105.1)
@@ -98,16 +103,14 @@ def test_lost_and_back_are_told_once_each_with_the_time() -> None:
     assert vehicle.tick(111.0) == ()
 
 
-def test_what_changed_while_it_was_lost_is_told_when_it_is_back() -> None:
-    vehicle, voice = new()
+def test_what_changed_while_it_was_lost_is_told_when_it_is_back(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(PX4, PX4_POSCTL, armed=True), 100.0)
     vehicle.tick(110.0)
     events = vehicle.on_frame(voice.beat(PX4, PX4_LAND, armed=False), 111.0)
     assert kinds(events) == ["vehicle_back", "disarmed", "mode"]
 
 
-def test_failsafe_is_told_with_the_last_warning() -> None:
-    vehicle, voice = new()
+def test_failsafe_is_told_with_the_last_warning(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), 1.0)
     vehicle.on_frame(voice.text("Battery Failsafe", severity=4), 1.1)
     (event,) = vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=5), 2.0)
@@ -118,8 +121,7 @@ def test_failsafe_is_told_with_the_last_warning() -> None:
     assert event.data == {"failsafe": False}
 
 
-def test_global_position_is_scaled_and_down_becomes_up_once() -> None:
-    vehicle, voice = new()
+def test_global_position_is_scaled_and_down_becomes_up_once(vehicle: Vehicle, voice: Voice) -> None:
     frame = voice.position(rel_m=9.9, velocity=(120, -50, 30), heading=4210)
     position = reported(vehicle, frame)["position"]
     assert position["lat_deg"] == pytest.approx(HOME[0], abs=1e-7)
@@ -129,16 +131,14 @@ def test_global_position_is_scaled_and_down_becomes_up_once() -> None:
     assert position["enu_m"] is None
 
 
-def test_unknown_position_and_heading_are_none() -> None:
-    vehicle, voice = new()
+def test_unknown_position_and_heading_are_none(vehicle: Vehicle, voice: Voice) -> None:
     position = reported(vehicle, voice.position(0.0, 0.0, heading=65535))["position"]
     assert (position["lat_deg"], position["lon_deg"], position["heading_deg"]) == (None, None, None)
     vehicle.origin = Origin(*HOME)
     assert reported(vehicle)["position"]["enu_m"] is None
 
 
-def test_enu_follows_the_origin_at_once() -> None:
-    vehicle, voice = new()
+def test_enu_follows_the_origin_at_once(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.position(HOME[0] + 1e-4, HOME[1], HOME[2] + 5), 1.0)
     vehicle.origin = Origin(*HOME)
     assert reported(vehicle)["position"]["enu_m"] == pytest.approx([0, 11.12, 5], abs=0.02)
@@ -148,8 +148,7 @@ def test_enu_follows_the_origin_at_once() -> None:
     assert reported(vehicle)["position"]["enu_m"] is None
 
 
-def test_gps_markers_for_unknown_are_none() -> None:
-    vehicle, voice = new()
+def test_gps_markers_for_unknown_are_none(vehicle: Vehicle, voice: Voice) -> None:
     good = mav.MAVLink_gps_raw_int_message(5, 3, 473977420, 85455940, 488100, 121, 200, 0, 0, 12)
     gps = reported(vehicle, voice.say(good))["gps"]
     assert (gps["fix"], gps["fix_type"], gps["satellites"], gps["hdop"], gps["vdop"]) == ("3d", 3, 12, 1.21, 2.0)
@@ -160,8 +159,7 @@ def test_gps_markers_for_unknown_are_none() -> None:
     assert [gps[k] for k in ("satellites", "hdop", "vdop", "lat_deg", "alt_amsl_m")] == [None] * 5
 
 
-def test_local_position_and_attitude_come_out_in_enu_and_degrees() -> None:
-    vehicle, voice = new()
+def test_local_position_and_attitude_come_out_in_enu_and_degrees(vehicle: Vehicle, voice: Voice) -> None:
     local = mav.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 0.1, 0.2, -0.3)
     attitude = mav.MAVLink_attitude_message(1000, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03)
     state = reported(vehicle, voice.say(local), voice.say(attitude))
@@ -190,8 +188,7 @@ def test_quaternion_and_euler_messages_say_the_same_attitude(rpy: tuple[float, f
         assert math.radians(a[key]) == pytest.approx(math.radians(b[key]), abs=0.002)
 
 
-def test_a_stale_alternative_gives_way_to_the_fresh_one() -> None:
-    vehicle, voice = new()
+def test_a_stale_alternative_gives_way_to_the_fresh_one(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.say(mav.MAVLink_attitude_message(1, 0.5, 0, 0, 0, 0, 0)), 1.0)
     vehicle.on_frame(voice.say(mav.MAVLink_attitude_quaternion_message(1, 1, 0, 0, 0, 0, 0, 0)), 1.5)
     assert reported(vehicle, now=2.0)["attitude"]["roll_deg"] == pytest.approx(28.65)
@@ -204,8 +201,7 @@ def sys_status(voltage: int, current: int, left: int, present: int = 0, enabled:
     return mav.MAVLink_sys_status_message(present, enabled, health, 500, voltage, current, left, 0, 0, 0, 0, 0, 0)
 
 
-def test_battery_unknowns_are_filled_from_battery_status() -> None:
-    vehicle, voice = new()
+def test_battery_unknowns_are_filled_from_battery_status(vehicle: Vehicle, voice: Voice) -> None:
     battery = reported(vehicle, voice.say(sys_status(12600, 1530, 88)))["battery"]
     assert (battery["volts"], battery["amps"], battery["percent"]) == (12.6, 15.3, 88)
     cells = [4100, 4100, 4000] + [65535] * 7
@@ -215,15 +211,13 @@ def test_battery_unknowns_are_filled_from_battery_status() -> None:
     assert (battery["consumed_mah"], battery["temperature_degc"]) == (378, None)
 
 
-def test_a_second_battery_does_not_pass_for_the_first() -> None:
-    vehicle, voice = new()
+def test_a_second_battery_does_not_pass_for_the_first(vehicle: Vehicle, voice: Voice) -> None:
     other = mav.MAVLink_battery_status_message(1, 0, 0, 32767, [3000] + [65535] * 9, 5, 1, 1, 7, 0)
     battery = reported(vehicle, voice.say(other))["battery"]
     assert (battery["volts"], battery["percent"]) == (None, None)
 
 
-def test_sensors_are_listed_by_name_and_the_bad_ones_apart() -> None:
-    vehicle, voice = new()
+def test_sensors_are_listed_by_name_and_the_bad_ones_apart(vehicle: Vehicle, voice: Voice) -> None:
     gyro, accel, gps = 1, 2, 32
     sensors = reported(vehicle, voice.say(sys_status(0, 0, 0, gyro | accel | gps, gyro | gps, gyro)))["sensors"]
     assert sensors["present"] == ["3d_gyro", "3d_accel", "gps"]
@@ -232,8 +226,7 @@ def test_sensors_are_listed_by_name_and_the_bad_ones_apart() -> None:
     assert sensors["load_percent"] == 50.0
 
 
-def test_both_estimators_say_whether_they_can_navigate() -> None:
-    vehicle, voice = new()
+def test_both_estimators_say_whether_they_can_navigate(vehicle: Vehicle, voice: Voice) -> None:
     good = mav.MAVLink_ekf_status_report_message(0x33F, 0.1, 0.1, 0.1, 0.1, 0.0)
     assert reported(vehicle, voice.say(good))["estimator"]["ok"] is True
     assert "pos_horiz_abs" in reported(vehicle)["estimator"]["names"]
@@ -253,8 +246,7 @@ def test_both_estimators_say_whether_they_can_navigate() -> None:
     assert reported(px4, voice.say(glitch))["estimator"]["ok"] is False
 
 
-def test_a_mission_has_a_count_and_the_last_word_on_its_transfer() -> None:
-    vehicle, voice = new()
+def test_a_mission_has_a_count_and_the_last_word_on_its_transfer(vehicle: Vehicle, voice: Voice) -> None:
     mission = reported(vehicle, voice.say(mav.MAVLink_mission_count_message(255, 25, 7)))["mission"]
     assert (mission["seq"], mission["count"], mission["last_ack"]) == (None, 7, None)
     frames = (mav.MAVLink_mission_current_message(3, 9), mav.MAVLink_mission_ack_message(255, 25, 13))
@@ -277,8 +269,7 @@ def test_whose_heartbeats_the_failsafe_watches_is_known_from_its_parameter(name:
     assert reported(vehicle, odd)["gcs_sysid"] == 255
 
 
-def test_rc_imu_servos_mission_and_vfr_have_their_place() -> None:
-    vehicle, voice = new()
+def test_rc_imu_servos_mission_and_vfr_have_their_place(vehicle: Vehicle, voice: Voice) -> None:
     rc = mav.MAVLink_rc_channels_message(1, 4, 1500, 1100, 0, 65535, *[1] * 14, 255)
     imu = mav.MAVLink_scaled_imu_message(1, 0, 0, -1000, 100, 0, 0, 200, 0, 0)
     servo = mav.MAVLink_servo_output_raw_message(1, 0, *range(1000, 1008))
@@ -292,8 +283,7 @@ def test_rc_imu_servos_mission_and_vfr_have_their_place() -> None:
     assert state["mission"]["seq"] == 3
 
 
-def test_targets_of_the_autopilot_hide_what_their_mask_ignores() -> None:
-    vehicle, voice = new()
+def test_targets_of_the_autopilot_hide_what_their_mask_ignores(vehicle: Vehicle, voice: Voice) -> None:
     there = mav.MAVLink_position_target_global_int_message(1, 6, 0xDF8, 473977420, 85455940, 12.0, *[9.0] * 8)
     local = mav.MAVLink_position_target_local_ned_message(1, 1, 0xDC7, 9, 9, 9, 1.0, 2.0, -3.0, 0, 0, 0, 0, 0)
     turn = mav.MAVLink_attitude_target_message(1, 0, [1, 0, 0, 0], 0, 0, 0, 0.45)
@@ -304,8 +294,7 @@ def test_targets_of_the_autopilot_hide_what_their_mask_ignores() -> None:
     assert state["target_attitude"]["thrust"] == 0.45
 
 
-def test_home_and_the_altitude_heights_are_counted_from() -> None:
-    vehicle, voice = new()
+def test_home_and_the_altitude_heights_are_counted_from(vehicle: Vehicle, voice: Voice) -> None:
     assert vehicle.home_alt_amsl_m() is None
     home = mav.MAVLink_home_position_message(473977420, 85455940, 488100, 0, 0, 0, [NAN] * 4, 0, 0, 0)
     assert reported(vehicle, voice.say(home))["home"]["alt_amsl_m"] == 488.1
@@ -316,8 +305,7 @@ def test_home_and_the_altitude_heights_are_counted_from() -> None:
     assert reported(vehicle, voice.say(unset))["home"] is None
 
 
-def test_system_time_gives_uptime_and_clock_offset() -> None:
-    vehicle, voice = new()
+def test_system_time_gives_uptime_and_clock_offset(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.system_time(120_000, 1_700_000_010_000_000), 50.0)
     state = take_snapshot(vehicle, 60.0, unix_now=1_700_000_018.0)
     assert state["uptime_s"] == 130.0
@@ -325,8 +313,7 @@ def test_system_time_gives_uptime_and_clock_offset() -> None:
     assert take_snapshot(vehicle, 60.0)["clock_offset_s"] is None
 
 
-def test_a_reboot_is_told_once_and_forgets_the_life_before() -> None:
-    vehicle, voice = new()
+def test_a_reboot_is_told_once_and_forgets_the_life_before(vehicle: Vehicle, voice: Voice) -> None:
     reported(vehicle, voice.beat(ARDUPILOT, 4), voice.position(), voice.landed(2), voice.system_time(500_000), now=1.0)
     (event,) = vehicle.on_frame(voice.system_time(8_000), 40.0)
     assert event.kind == "reboot"
@@ -339,8 +326,7 @@ def test_a_reboot_is_told_once_and_forgets_the_life_before() -> None:
     assert vehicle.on_frame(voice.system_time(9_000), 41.0) == ()
 
 
-def test_a_boot_text_tells_a_reboot_where_no_clock_is_streamed() -> None:
-    vehicle, voice = new()
+def test_a_boot_text_tells_a_reboot_where_no_clock_is_streamed(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(ARDUPILOT, 0), 1.0)
     assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 10.0)) == ["statustext"]
     assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 60.0)) == ["statustext", "reboot"]
@@ -349,15 +335,13 @@ def test_a_boot_text_tells_a_reboot_where_no_clock_is_streamed() -> None:
     assert vehicle.firmware == "4.5.1"
 
 
-def test_a_boot_text_before_the_clock_goes_back_is_one_reboot() -> None:
-    vehicle, voice = new()
+def test_a_boot_text_before_the_clock_goes_back_is_one_reboot(vehicle: Vehicle, voice: Voice) -> None:
     reported(vehicle, voice.beat(ARDUPILOT, 0), voice.system_time(500_000), now=1.0)
     assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 60.0)) == ["statustext", "reboot"]
     assert vehicle.on_frame(voice.system_time(12_000), 61.0) == ()
 
 
-def test_other_messages_clocks_tell_a_reboot_too() -> None:
-    vehicle, voice = new()
+def test_other_messages_clocks_tell_a_reboot_too(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(), 1.0)
     vehicle.on_frame(voice.position(boot_ms=500_000), 1.0)
     vehicle.tick(1.0)
@@ -368,8 +352,7 @@ def test_other_messages_clocks_tell_a_reboot_too() -> None:
     assert vehicle.tick(31.2) == ()
 
 
-def test_two_vehicles_with_one_id_on_one_link_are_told_once_and_are_no_reboots() -> None:
-    vehicle, voice = new()
+def test_two_vehicles_with_one_id_on_one_link_are_told_once_and_are_no_reboots(vehicle: Vehicle, voice: Voice) -> None:
     events: list[Event] = []
     for n in range(10):
         events += vehicle.on_frame(voice.system_time(500_000 + 1000 * n), 1.0 * n)
@@ -401,24 +384,24 @@ def test_the_clocks_of_two_vehicles_on_one_link_are_seen_in_whatever_message_tel
 
 
 OTHER_HEARTBEATS = [
-    pytest.param({"kind": 2, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict", id="autopilot INVALID"),
-    pytest.param({"kind": 0, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict", id="GENERIC and INVALID"),
-    pytest.param({"kind": 0, "autopilot": 0}, "conflict", id="GENERIC"),
-    pytest.param({"kind": 18, "autopilot": ARDUPILOT}, "conflict", id="onboard computer"),
-    pytest.param({"kind": 6, "autopilot": ARDUPILOT}, "conflict", id="ground station"),
-    pytest.param({"kind": 2, "autopilot": PX4}, "duplicate", id="another firmware"),
-    pytest.param({"kind": 0, "autopilot": ARDUPILOT}, "duplicate", id="type GENERIC"),
-    pytest.param({"kind": 1, "autopilot": ARDUPILOT}, "duplicate", id="another type"),
+    ({"kind": 2, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict"),
+    ({"kind": 0, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict"),
+    ({"kind": 0, "autopilot": 0}, "conflict"),
+    ({"kind": 18, "autopilot": ARDUPILOT}, "conflict"),
+    ({"kind": 6, "autopilot": ARDUPILOT}, "conflict"),
+    ({"kind": 2, "autopilot": PX4}, "duplicate"),
+    ({"kind": 0, "autopilot": ARDUPILOT}, "duplicate"),
+    ({"kind": 1, "autopilot": ARDUPILOT}, "duplicate"),
 ]
 
 
-@pytest.mark.parametrize(("other", "kind"), OTHER_HEARTBEATS)
+@each(("other", "kind"), OTHER_HEARTBEATS)
 def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(other: dict[str, int], kind: str) -> None:
     vehicle, voice = new()
     own = voice.beat(ARDUPILOT, 4, armed=True, status=4)
     vehicle.on_frame(own, 0.0)
     events: list[Event] = []
-    for n in range(1, 1500):  # 50 a second beside its own one
+    for n in range(1, 500):  # 50 a second beside its own one
         now = n * 0.02
         events += vehicle.on_frame(voice.beat(mode=0, armed=False, **other), now)
         if n % 50 == 0:
@@ -426,13 +409,12 @@ def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(other:
         assert (vehicle.family, vehicle.type, vehicle.mode, vehicle.armed) == ("ardupilot", 2, "GUIDED", True)
     assert kinds(tuple(events)) == [kind]
     assert vehicle.duplicate is (kind == "duplicate")
-    assert vehicle.count("HEARTBEAT") == 30
+    assert vehicle.count("HEARTBEAT") == 10
     vehicle.on_frame(own, 60.0)
     assert not vehicle.tick(40.0) or not vehicle.duplicate
 
 
-def test_another_firmware_is_believed_once_the_vehicle_was_lost() -> None:
-    vehicle, voice = new()
+def test_another_firmware_is_believed_once_the_vehicle_was_lost(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), 0.0)
     for n in range(1, 6):
         vehicle.on_frame(voice.beat(PX4), float(n))
@@ -443,8 +425,7 @@ def test_another_firmware_is_believed_once_the_vehicle_was_lost() -> None:
     assert vehicle.family == "px4" and not vehicle.armed
 
 
-def test_two_senders_of_one_firmware_on_one_link_leave_the_first_state() -> None:
-    vehicle, voice = new()
+def test_two_senders_of_one_firmware_on_one_link_leave_the_first_state(vehicle: Vehicle, voice: Voice) -> None:
     events: list[Event] = []
     for n in range(10):
         events += vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), 1.0 * n)
@@ -462,8 +443,7 @@ def test_two_senders_of_one_firmware_on_one_link_leave_the_first_state() -> None
     assert not vehicle.duplicate
 
 
-def test_landed_is_told_by_its_message_and_inferred_without_it() -> None:
-    vehicle, voice = new()
+def test_landed_is_told_by_its_message_and_inferred_without_it(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(ARDUPILOT, 4), 1.0)
     assert vehicle.landed(1.0) == "on_ground"
     vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=3), 2.0)
@@ -478,15 +458,13 @@ def test_landed_is_told_by_its_message_and_inferred_without_it() -> None:
     assert vehicle.landed(100.0) == "in_air"  # too old: the heartbeat's word is taken again
 
 
-def test_an_armed_px4_without_landed_state_is_not_guessed() -> None:
-    vehicle, voice = new()
+def test_an_armed_px4_without_landed_state_is_not_guessed(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(PX4, PX4_POSCTL, armed=True, status=4), 1.0)
     assert vehicle.in_air(1.0) is None
     assert reported(vehicle)["landed"] == "undefined"
 
 
-def test_high_latency_keeps_it_connected_and_tells_failures() -> None:
-    vehicle, voice = new()
+def test_high_latency_keeps_it_connected_and_tells_failures(vehicle: Vehicle, voice: Voice) -> None:
     vehicle.on_frame(voice.beat(PX4, PX4_LAND), 1.0)
     message = mav.MAVLink_high_latency2_message(
         1,
@@ -527,8 +505,7 @@ def test_high_latency_keeps_it_connected_and_tells_failures() -> None:
     assert kinds(vehicle.tick(30.0)) == ["vehicle_lost"]
 
 
-def test_status_texts_are_kept_newest_last_and_bounded() -> None:
-    vehicle, voice = new()
+def test_status_texts_are_kept_newest_last_and_bounded(vehicle: Vehicle, voice: Voice) -> None:
     for n in range(MAX_STATUS_TEXTS + 5):
         (event,) = vehicle.on_frame(voice.text(f"text {n}", severity=3), float(n))
         assert event.data == {"severity": "error", "level": 3, "text": f"text {n}"}
@@ -543,16 +520,14 @@ def test_status_texts_are_kept_newest_last_and_bounded() -> None:
     }
 
 
-def test_a_text_that_is_never_completed_comes_with_a_tick() -> None:
-    vehicle, voice = new()
+def test_a_text_that_is_never_completed_comes_with_a_tick(vehicle: Vehicle, voice: Voice) -> None:
     half = mav.MAVLink_statustext_message(4, b"x" * 50, id=7, chunk_seq=0)
     assert vehicle.on_frame(voice.say(half), 1.0) == ()
     assert vehicle.tick(2.0) == ()
     assert [e.text for e in vehicle.tick(3.1)] == ["x" * 50]
 
 
-def test_rates_and_counts_per_message() -> None:
-    vehicle, voice = new()
+def test_rates_and_counts_per_message(vehicle: Vehicle, voice: Voice) -> None:
     frame, beat = voice.position(), voice.beat()
     for n in range(100):
         now = n / 10
@@ -569,8 +544,7 @@ def test_rates_and_counts_per_message() -> None:
     assert reported(vehicle, now=30.0)["messages"]["GLOBAL_POSITION_INT"]["rate_hz"] == 0.0
 
 
-def test_a_section_is_unpacked_once_per_frame() -> None:
-    vehicle, voice = new()
+def test_a_section_is_unpacked_once_per_frame(vehicle: Vehicle, voice: Voice) -> None:
     reported(vehicle, voice.position())
     first = vehicle.telemetry("position")
     reported(vehicle, now=12.0)
@@ -606,21 +580,18 @@ def test_arrays_are_read_as_the_dialect_unpacks_them(name: str, payload: bytes) 
     assert repr(read) == repr(wanted)  # NaN is not itself
 
 
-def test_a_frame_of_unknown_id_leaves_no_trace() -> None:
-    vehicle, voice = new()
+def test_a_frame_of_unknown_id_leaves_no_trace(vehicle: Vehicle, voice: Voice) -> None:
     beat = voice.beat()
     assert vehicle.on_frame(Frame(beat.raw, 0, 1, 1, 60000, None), 1.0) == ()
     assert vehicle.slots == {}
 
 
-def test_the_last_acknowledgement_is_shown_in_words() -> None:
-    vehicle, voice = new()
+def test_the_last_acknowledgement_is_shown_in_words(vehicle: Vehicle, voice: Voice) -> None:
     state = reported(vehicle, voice.ack(22, 4))
     assert state["last_ack"] == {"command": "NAV_TAKEOFF", "result": "failed", "age_s": 0.0}
 
 
-def test_firmware_comes_from_autopilot_version() -> None:
-    vehicle, voice = new()
+def test_firmware_comes_from_autopilot_version(vehicle: Vehicle, voice: Voice) -> None:
     version = mav.MAVLink_autopilot_version_message(0, 0x040501FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
     assert reported(vehicle, voice.say(version))["firmware"] == "4.5.1"
 

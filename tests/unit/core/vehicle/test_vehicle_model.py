@@ -23,6 +23,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.core.vehicle.watched_params import WATCHED
 from skygcs.errors import NotReadyError, RefusedError
+from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
 
 NOW = 100.0
@@ -186,7 +187,7 @@ def test_a_plane_is_sent_off_along_the_ground_once_it_has_shown_that_it_is_no_qu
 NAV_LAND, RETURN_PATH, LAND_START = 21, 188, 189
 
 
-@pytest.mark.parametrize(
+@each(
     ("rotors", "landing", "marker", "end"),
     [
         # ArduPlane/mode_rtl.cpp. Q_RTL_MODE 0: navigate comes to RTL_AUTOLAND
@@ -223,7 +224,7 @@ def test_a_quadplanes_return_ends_by_its_parameters_and_its_mission(
     assert orders.rtl(hovering.vehicle, NOW).done == "returning in QRTL"  # which lands, whatever they are
 
 
-@pytest.mark.parametrize("mode", [0, 10, 17, 19])
+@each("mode", [0, 10, 17, 19])
 def test_the_return_of_a_mission_ends_as_its_class_does_however_it_stands_now(mode: int) -> None:
     """On the ground in QLOITER it counted as landing at the end of a mission that circles."""
     vehicle = Shown(ARDUPILOT, PLANE, mode, Q_ENABLE=1.0, Q_RTL_MODE=0.0, RTL_AUTOLAND=0.0, WP_LOITER_RAD=80.0).vehicle
@@ -236,27 +237,31 @@ def test_a_fixed_wing_that_has_kept_the_parameters_of_a_quadplane_circles() -> N
     assert vehicle.return_rule(NOW).end is ReturnEnd.CIRCLES
 
 
-@pytest.mark.parametrize(
-    ("rtl_type", "delay_s", "end", "with_landing"),
+@each(
+    ("kind", "rtl_type", "delay_s", "end", "with_landing"),
     [
-        # init.d/rc.fw_defaults; navigator/rtl.cpp: findRtlDestination
-        (1, -1, ReturnEnd.CIRCLES, ReturnEnd.BY_MISSION),
-        (1, 0, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.BY_MISSION),
-        (0, -1, ReturnEnd.CIRCLES, ReturnEnd.CIRCLES),
-        (0, 30, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.LANDS_AS_PLANE),
-        *((kind, -1, ReturnEnd.NOT_KNOWN, ReturnEnd.NOT_KNOWN) for kind in (2, 3, 4)),
+        # init.d/rc.fw_defaults; navigator/rtl.cpp: findRtlDestination; rtl_direct.cpp: _updateRtlState
+        (PLANE, 1, -1, ReturnEnd.CIRCLES, ReturnEnd.BY_MISSION),
+        (PLANE, 1, 0, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.BY_MISSION),
+        (PLANE, 0, -1, ReturnEnd.CIRCLES, ReturnEnd.CIRCLES),
+        (PLANE, 0, 30, ReturnEnd.LANDS_AS_PLANE, ReturnEnd.LANDS_AS_PLANE),
+        (QUADROTOR, 0, 0, ReturnEnd.LANDS, ReturnEnd.LANDS),
+        (QUADROTOR, 0, 30, ReturnEnd.LANDS, ReturnEnd.LANDS),
+        (QUADROTOR, 0, -1, ReturnEnd.HOLDS, ReturnEnd.HOLDS),
+        (QUADROTOR, 1, -1, ReturnEnd.HOLDS, ReturnEnd.BY_MISSION),
+        *((kind, by, -1, *[ReturnEnd.NOT_KNOWN] * 2) for kind in (PLANE, QUADROTOR) for by in (2, 3, 4)),
     ],
 )
-def test_a_px4_planes_return_ends_by_its_parameters_and_its_mission(
-    rtl_type: int, delay_s: int, end: ReturnEnd, with_landing: ReturnEnd
+def test_a_px4s_return_ends_by_its_parameters_and_its_mission(
+    kind: int, rtl_type: int, delay_s: int, end: ReturnEnd, with_landing: ReturnEnd
 ) -> None:
-    vehicle = Shown(PX4, PLANE, 4 << 16, RTL_TYPE=float(rtl_type), RTL_LAND_DELAY=float(delay_s)).vehicle
+    vehicle = Shown(PX4, kind, 4 << 16, RTL_TYPE=float(rtl_type), RTL_LAND_DELAY=float(delay_s)).vehicle
     assert vehicle.return_rule(NOW).end is end
     assert vehicle.mission_return_rule.with_mission({16, 20}) is end
     assert vehicle.mission_return_rule.with_mission({16, 20, NAV_LAND}) is with_landing
 
 
-@pytest.mark.parametrize(("firmware", "known"), [(PX4, {"RTL_TYPE": 1.0}), (ARDUPILOT, {"Q_ENABLE": 0.0})])
+@each(("firmware", "known"), [(PX4, {"RTL_TYPE": 1.0}), (ARDUPILOT, {"Q_ENABLE": 0.0})])
 def test_a_missions_return_is_not_known_while_a_parameter_is_not(firmware: int, known: dict[str, float]) -> None:
     vehicle = Shown(firmware, PLANE, 10, **known).vehicle
     assert vehicle.mission_return_rule.with_mission({16, 20}) is ReturnEnd.NOT_KNOWN
@@ -275,6 +280,9 @@ def test_the_circle_at_home_has_a_radius_of_its_own() -> None:
 def test_what_a_return_does_is_in_the_answer_of_what_does_not_land() -> None:
     assert orders.rtl(Shown(ARDUPILOT, QUADROTOR, 5).vehicle, NOW).done == "returning to launch"
     assert orders.rtl(Shown(PX4, VTOL, 4 << 16).vehicle, NOW).done == "returning to launch"
+    assert orders.rtl(Shown(PX4, QUADROTOR, 4 << 16).vehicle, NOW).done == "returning to launch"
+    holds = Shown(PX4, QUADROTOR, 4 << 16, RTL_TYPE=0.0, RTL_LAND_DELAY=-1.0).vehicle
+    assert orders.rtl(holds, NOW).done == "returning to launch; it holds above its home"
     assert orders.rtl(Shown(PX4, PLANE, 4 << 16).vehicle, NOW).done.endswith("; without one it circles above its home")
     assert orders.rtl(Shown(ARDUPILOT, ROVER, 15).vehicle, NOW).done.endswith("; it stops and stays armed")
     landing = Shown(ARDUPILOT, PLANE, 12, Q_ENABLE=0.0, RTL_AUTOLAND=2.0).vehicle
@@ -352,9 +360,9 @@ def test_a_rover_is_never_in_the_air_whatever_status_it_shows() -> None:
     assert model_of(rover.vehicle, NOW).may_fly  # its modes for sticks need sticks while it is armed
 
 
-@pytest.mark.parametrize("kind", [QUADROTOR, PLANE, ROVER, BOAT])
-@pytest.mark.parametrize("landed", [0, 1, 2, 3, 4])
-@pytest.mark.parametrize("armed", [True, False])
+@each("kind", [QUADROTOR, PLANE, ROVER, BOAT])
+@each("landed", [0, 1, 2, 3, 4])
+@each("armed", [True, False])
 def test_all_rules_agree_who_is_under_way(kind: int, landed: int, armed: bool) -> None:
     shown = on_the_ground(PX4, kind, 4 << 16)
     shown.hear(mav.MAVLink_heartbeat_message(kind, PX4, 0x81 if armed else 0x01, 4 << 16, 4 if armed else 3, 3))
@@ -406,7 +414,7 @@ DRIVES = frozenset({5, 10, 11, 12})
 """MAV_TYPE of an antenna tracker, a rover, a boat and a submarine."""
 
 
-@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT, mav.MAV_AUTOPILOT_OPENPILOT])
+@each("autopilot", [PX4, ARDUPILOT, mav.MAV_AUTOPILOT_OPENPILOT])
 def test_what_can_be_stopped_is_stopped_whatever_type_it_shows(autopilot: int) -> None:
     """PX4 pauses in AUTO.LOITER and lands by NAV_LAND (navigator_main.cpp, Commander.cpp), whichever MAV_TYPE it was
     given; an ArduPilot of a type that pymavlink has modes for has one that stops. A landing that is not known to be

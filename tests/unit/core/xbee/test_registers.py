@@ -38,7 +38,7 @@ def test_settings_are_read_and_shown(name: str, text: str, value: bytes, shown: 
     [
         ("NP", "72", "can only be read"),
         ("IDX", "1", "two letters"),
-        ("ID", "x", "is no number"),
+        ("ID", "x", "is not a number"),
         ("ID", "-1", "is not 0"),
         ("BD", "12345", "no rate"),
         ("NI", "a" * 21, "1 to 20"),

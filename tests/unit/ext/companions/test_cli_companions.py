@@ -18,6 +18,7 @@ from skygcs.ext.companions import bring_up_commands as bring_up_commands
 from skygcs.ext.companions import commands as companion_commands
 from skygcs.ext.companions.bring_up.inventory import Companion
 from support.fake_companion import ARMED, FakeSession
+from support.table import each
 
 FLEET = """
 [defaults]
@@ -105,7 +106,7 @@ def test_a_command_that_fails_somewhere_fails(field: Field) -> None:
     assert field.outcomes("companions", "run", "--", "false")["pi"]["exit_code"] == 7
 
 
-@pytest.mark.parametrize(
+@each(
     "words",
     [
         ("run",),
@@ -152,7 +153,7 @@ def plain(field: Field, monkeypatch: pytest.MonkeyPatch) -> Field:
     return field
 
 
-@pytest.mark.parametrize("table", ["", "[companions]\nadvertise = false\n"])
+@each("table", ["", "[companions]\nadvertise = false\n"])
 def test_up_of_a_fleet_without_companions_needs_no_ssh(plain: Field, table: str) -> None:
     plain.fleet.write_text(f"{table}[vehicles.alpha]\nsysid = 1\n[vehicles.bravo]\nsysid = 2\n")
     done = plain.run("up", "--wait", "0", "--json")
@@ -174,7 +175,7 @@ def test_up_of_a_vehicle_with_a_computer_says_what_to_install(plain: Field) -> N
     assert done.stderr == "skygcs-cli: companions need the package asyncssh: pip install 'skygcs[companions]'\n"
 
 
-@pytest.mark.parametrize("command", [("down",), ("companions", "status")])
+@each("command", [("down",), ("companions", "status")])
 def test_without_companions_the_table_is_missing_and_no_package(plain: Field, command: tuple[str, ...]) -> None:
     plain.fleet.write_text("[vehicles.alpha]\nsysid = 1\n")
     done = plain.run(*command)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.cli.serve import main
+from support.table import each
 
 
 def run(*words: str) -> int:
@@ -32,11 +33,11 @@ def test_both_sides_exchange_their_certificates(tmp_path: Path, capsys: pytest.C
     assert all(line.split()[-1] in printed for line in shown.splitlines())
 
 
-@pytest.mark.parametrize(
+@each(
     ("words", "reason"),
     [
         (("pin", "{ground}/ground.crt", "--dir", "{ground}"), "name the companion"),
-        (("pin", "{ground}/ground.crt", "../x", "--dir", "{ground}"), "is no companion's name"),
+        (("pin", "{ground}/ground.crt", "../x", "--dir", "{ground}"), "is not a companion's name"),
         (("pin", "{ground}/ground.key", "alpha", "--dir", "{ground}"), "one certificate in PEM format"),
         (("pin", "{ground}/absent", "alpha", "--dir", "{ground}"), "No such file"),
         (("show", "--dir", "{ground}/none"), "no certificate in"),

@@ -11,13 +11,7 @@ import pytest
 
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError
 from skygcs.events import Event
-from skygcs.ext.companions.companion_link import (
-    ANSWERS_SILENT_S,
-    CONNECT_S,
-    MAX_CALLS,
-    STATE_GROUPS,
-    CompanionLink,
-)
+from skygcs.ext.companions.companion_link import ANSWERS_SILENT_S, CONNECT_S, MAX_CALLS, STATE_GROUPS, CompanionLink
 from skygcs.links.supervisor import LONGEST_BACK_OFF_S
 
 pytestmark = pytest.mark.looptime
@@ -85,7 +79,12 @@ class Bench:
         self.clients: list[FakeClient] = []
         self.dialled_at: list[float] = []
         self.events: list[Event] = []
-        self.link = CompanionLink("pi", "alpha", self.dial, self.loop, self.events.append)
+        self.asleep: list[bool] = []
+        """Answers of the watch, the last one first; False afterwards."""
+        link = CompanionLink(
+            "pi", "alpha", self.dial, self.loop, self.events.append, lambda: bool(self.asleep) and self.asleep.pop()
+        )
+        self.link = link
 
     async def dial(self) -> FakeClient:
         self.dialled_at.append(self.loop.time())
@@ -220,6 +219,31 @@ async def test_events_and_states_reach_their_observers_across_connections() -> N
     assert ups == [True, False, True]
     assert [event["text"] for event in heard] == ["one", "two"]
     assert [state["name"] for state in states] == ["alpha", "alpha"]
+
+
+@pytest.mark.parametrize("first", ["told", "event", "answer"])
+async def test_what_waited_through_a_standstill_does_not_count_and_it_is_connected_anew(first: str) -> None:
+    async with running() as bench:
+        seen: list[dict[str, Any]] = []
+        bench.link.on_events(seen.append)
+        await asyncio.sleep(0.1)
+        assert bench.link.is_up
+        (client,) = bench.clients
+        if first == "told":
+            bench.link.woke("skygcs stood still for 60 s")
+        else:
+            bench.asleep.append(True)
+        client.report({"text": "of before"})
+        if first == "answer":
+            with pytest.raises(LinkError, match="stood still"):
+                await bench.link.call("companion.contact")
+        await asyncio.sleep(0.05)
+        assert client.closed and seen == [] and not bench.link.is_up
+        await asyncio.sleep(5.0)
+        assert len(bench.clients) == 2 and bench.link.is_up
+        bench.clients[1].report({"text": "new"})
+        await asyncio.sleep(0.05)
+        assert seen == [{"text": "new"}]
 
 
 async def test_the_clock_is_compared_while_it_is_connected() -> None:

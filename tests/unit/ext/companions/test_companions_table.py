@@ -11,6 +11,7 @@ from skygcs.config.models import FleetConfig, TcpClientLinkConfig, UdpClientLink
 from skygcs.errors import ConfigError
 from skygcs.ext.companions.companion_table import companion_table
 from skygcs.ext.companions.companions_table import companions_table
+from support.table import each
 
 AUTOPILOT = '[links.autopilot]\ntype = "serial"\ndevice = "/dev/ttyACM0"\nrole = "vehicle"\n'
 VEHICLE = "[vehicles.alpha]\nsysid = 7\n"
@@ -68,10 +69,10 @@ def test_companions_are_the_tables_of_companions(tmp_path: Path) -> None:
     assert table.key_dir == tmp_path / "keys"
 
 
-@pytest.mark.parametrize(
+@each(
     ("tables", "words"),
     [
-        ((ON_BOARD, AUTOPILOT), ("companion.vehicle (line 2)", "no vehicle of this file", "vehicles: none")),
+        ((ON_BOARD, AUTOPILOT), ("companion.vehicle (line 2)", "not a vehicle of this file", "vehicles: none")),
         ((ON_BOARD + 'ground = "10.0.0.1:14650"\n', VEHICLE), ("companion.ground", "udp:HOST:PORT")),
         ((ON_BOARD + 'ground = "udp:10.0.0.1:0"\n', VEHICLE), ("companion.ground", "1 to 65535")),
         ((ON_BOARD + 'ground = "udp:fe80::1:14650"\n', VEHICLE), ("companion.ground", "[IPV6]:PORT")),
@@ -82,7 +83,7 @@ def test_companions_are_the_tables_of_companions(tmp_path: Path) -> None:
         ((ON_BOARD, VEHICLE, "[vehicles.bravo]\nsysid = 8\n"), ("vehicles.bravo", "has one vehicle")),
         ((ON_BOARD, VEHICLE, WIFI.replace("wifi", "ground")), ("links.ground", "choose another")),
         ((ON_BOARD, VEHICLE, "[companions]\n"), ("companions", "is for the ground")),
-        (("[companions.alpha]\n",), ("companions.alpha", "no vehicle of this file")),
+        (("[companions.alpha]\n",), ("companions.alpha", "not a vehicle of this file")),
         (('[companions.pi]\nvehicle = "x"\n', VEHICLE), ("companions.pi.vehicle", "vehicles: alpha")),
         (("[companions.alpha]\n", '[companions.pi]\nvehicle = "alpha"\n', VEHICLE), ("companions.pi", "alpha already")),
         (('[companions.alpha]\nrpc = "h"\n', VEHICLE), ("companions.alpha.rpc", "HOST:PORT")),

@@ -12,6 +12,7 @@ from cryptography import x509
 from skygcs.errors import LinkError
 from skygcs.ext.companions.identity import make_identity, pin
 from skygcs.ext.companions.tls import fingerprint
+from support.table import each
 
 
 def test_an_identity_is_made_once_and_its_key_is_ours_alone(tmp_path: Path) -> None:
@@ -75,7 +76,7 @@ def test_a_key_is_never_pinned_and_never_copied(tmp_path: Path) -> None:
     assert not (tmp_path / "pinned.crt").exists()
 
 
-@pytest.mark.parametrize("content", [b"", b"\0" * 100, b"\xff", b"-----BEGIN CERTIFICATE-----\n", b"x" * 100_000])
+@each("content", [b"", b"\0" * 100, b"\xff", b"-----BEGIN CERTIFICATE-----\n", b"x" * 100_000])
 def test_what_is_no_certificate_is_named(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "x.crt").write_bytes(content)
     with pytest.raises(LinkError, match="certificate"):

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import LinkError
-from skygcs.ext.corrections.caster import ANSWER_S, read_password
+from skygcs.ext.corrections.caster import ANSWER_S, BURST_BYTES, BYTES_PER_S, READ_BYTES, read_password
 from skygcs.ext.corrections.config import CorrectionsConfig
 from skygcs.ext.corrections.feeder import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, REFUSED_AGAIN_S
 from skygcs.ext.corrections.gga import GgaPosition
@@ -21,6 +21,7 @@ from support.caster import HTTP, ICY, TABLE, Caster, Client, Conduct, never_stop
 from support.certificates import Authority
 from support.corrections_bench import CorrectionsBench
 from support.rtcm import STANDARD_1005, rtcm_frame
+from support.table import each
 
 pytestmark = pytest.mark.looptime
 
@@ -128,11 +129,11 @@ async def test_a_stream_that_breaks_and_comes_back_is_told() -> None:
         (says(b"SOURCETABLE 200 OK\r\n\r\n" + TABLE), "MOUNT1, and 1 more", REFUSED_AGAIN_S),
         (says(b"SOURCETABLE 200 OK\r\n\r\n" + TABLE[:-16], then_s=99.0), "MOUNT1, and 1 more", REFUSED_AGAIN_S),
         (never_stops(b"HTTP/1.1 200 OK\r\n", b"X: " + b"y" * 500 + b"\r\n"), "head of its answer", REFUSED_AGAIN_S),
-        (never_stops(b"", b"\x00\xff" * 200), "no NTRIP caster", REFUSED_AGAIN_S),
+        (never_stops(b"", b"\x00\xff" * 200), "not an NTRIP caster", REFUSED_AGAIN_S),
         (never_stops(b"SOURCETABLE 200 OK\r\n", b"STR;M;x\r\n" * 4000), "it has no mountpoint", REFUSED_AGAIN_S),
         (says(HTTP + b"Transfer-Encoding: chunked\r\n\r\nFFFFFFFFFFFF\r\n", then_s=9.0), "a chunk of 2814", 1.0),
         (says(HTTP + b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n", then_s=9.0), "ended the stream", 1.0),
-        (says(b"HTTP/1.1 503 Busy\r\n\r\n"), "trouble of its own", 1.0),
+        (says(b"HTTP/1.1 503 Busy\r\n\r\n"), "reports an internal error", 1.0),
     ],
 )
 async def test_what_is_no_stream_is_named_and_asked_for_again_later(conduct: Conduct, why: str, again_s: float) -> None:
@@ -180,6 +181,37 @@ async def test_bytes_without_a_message_are_named() -> None:
         await asyncio.sleep(40.0)
         assert bench.status["failures"] >= 1 and "no RTCM 3 message" in bench.events[0].text
         assert bench.sent == b""
+
+
+@pytest.mark.parametrize("first", ["told", "asks"])
+async def test_what_a_caster_sent_before_a_standstill_goes_to_no_vehicle(first: str) -> None:
+    """All of it went out as new, up to a megabyte."""
+    async with at_work(streams(EPOCHS[:10], then_s=60.0), streams(EPOCHS[10:12], then_s=60.0)) as (bench, _):
+        await bench.until(lambda: bench.status["messages"] >= 4, 20.0)
+        sent, connected = len(bench.sent), bench.status["connected"]
+        if first == "told":
+            bench.feeder.woke("skygcs stood still for 60 s")
+        else:
+            answers = [True]
+            bench.asleep = lambda: bool(answers) and answers.pop()
+        await bench.until(lambda: bench.status["connected"] == connected + 1, 20.0)
+        await bench.until(lambda: bytes(bench.sent[sent:]) == b"".join(EPOCHS[10:12]), 20.0)
+        (down,) = [event.text for event in bench.events if event.data["change"] == "down"]
+        assert "stood still" in down and "connected anew" in down
+
+
+async def test_a_caster_that_floods_is_read_from_at_a_bounded_rate() -> None:
+    async def floods(client: Client) -> None:
+        await client.send(ICY)
+        while True:
+            await client.send(rtcm_frame(1077, body_bytes=1000) * 64)
+
+    async with at_work(floods) as (bench, _):
+        await asyncio.sleep(5.0)
+        first = bench.status["bytes"]
+        await asyncio.sleep(10.0)
+        assert 0 < bench.status["bytes"] - first <= 10.0 * BYTES_PER_S + 2 * READ_BYTES
+        assert first <= BURST_BYTES + 5.0 * BYTES_PER_S + 2 * READ_BYTES
 
 
 async def test_another_programs_corrections_go_first() -> None:
@@ -299,7 +331,7 @@ async def test_the_password_is_sent_and_shown_nowhere(tmp_path: Path, monkeypatc
             assert "user or password is wrong" in bench.events[0].text
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "mode", "why"),
     [
         (b"secret\n", 0o644, "others can read it"),

@@ -75,7 +75,7 @@ def test_a_caster_and_a_receiver(tmp_path: Path) -> None:
     assert (config.position, config.observations) == ((43.78, -79.46, 150.0), "msm4")
 
 
-@pytest.mark.parametrize(
+@each(
     ("table", "rest", "words"),
     [
         ("", "", ("needs one of ntrip", "serial")),

@@ -60,10 +60,7 @@ def test_a_vehicle_that_was_chosen_is_the_only_one() -> None:
     assert chosen_place(fixes, only="alpha") == GgaPosition("alpha", 1.0, 2.0, 3.0, 9)
 
 
-@each(
-    "gps",
-    [{}, fix(None), fix("2d"), fix(lat=None), fix(lat=float("nan")), fix(lat=91.0), fix(lon_deg=None)],
-)
+@each("gps", [{}, fix(None), fix("2d"), fix(lat=None), fix(lat=float("nan")), fix(lat=91.0), fix(lon_deg=None)])
 def test_what_is_no_position_is_not_sent(gps: dict[str, Any]) -> None:
     assert chosen_place([("alpha", gps)]) is None
 

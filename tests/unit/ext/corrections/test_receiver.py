@@ -153,4 +153,4 @@ async def test_a_port_that_takes_nothing_is_given_up(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(receiver.os, "write", lambda fd, data: 0)
     async with at_work(base, monkeypatch) as bench:
         await asyncio.sleep(0.5)
-        assert "takes nothing" in bench.status["text"]
+        assert "accepts no data" in bench.status["text"]

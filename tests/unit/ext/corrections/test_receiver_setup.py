@@ -12,6 +12,7 @@ from skygcs.ext.corrections.receiver_setup import ANSWER_S, LOOK_S, SURVEY_SILEN
 from skygcs.ext.corrections.receiver_stream import ReceiverStream
 from skygcs.ext.corrections.ubx import UbxMessage
 from support.base_receiver import ack, nav_svin, settings_in
+from support.table import each
 
 
 def setup(**keys: Any) -> ReceiverSetup:
@@ -42,7 +43,7 @@ def test_a_survey_is_begun_and_followed() -> None:
     assert dialogue.is_placed
 
 
-@pytest.mark.parametrize(
+@each(
     ("found", "kept"),
     [
         (nav_svin(600, 1.4, valid=True, active=False), True),

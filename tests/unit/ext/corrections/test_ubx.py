@@ -79,15 +79,12 @@ def test_every_key_is_one_of_u_bloxs() -> None:
 def test_what_is_no_request_is_an_error_of_ours() -> None:
     with pytest.raises(ValueError, match="CFG-VALSET takes 64"):
         ubx.valset(dict.fromkeys(range(0x20910000, 0x20910041), 1))
-    with pytest.raises(ValueError, match="no key"):
+    with pytest.raises(ValueError, match="not a key"):
         ubx.valset({0x00000001: 1})
 
 
 @given(
-    duration=st.integers(0, 2**32 - 1),
-    accuracy=st.integers(0, 2**32 - 1),
-    valid=st.booleans(),
-    active=st.booleans(),
+    duration=st.integers(0, 2**32 - 1), accuracy=st.integers(0, 2**32 - 1), valid=st.booleans(), active=st.booleans()
 )
 def test_the_progress_of_a_survey_is_read(duration: int, accuracy: int, valid: bool, active: bool) -> None:
     raw = UBXMessage("NAV", "NAV-SVIN", GET, dur=duration, meanAcc=accuracy, obs=7, valid=valid, active=active)

@@ -14,9 +14,10 @@ from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.ext.federation import commands
 from skygcs.rpc.address import SOCKET_VARIABLE
 from skygcs.rpc.error_codes import METHOD_NOT_FOUND
+from support.table import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("targets", "with_station", "without"),
     [
         ("south/alpha", True, True),
@@ -48,7 +49,7 @@ class StationWithoutLeases:
         raise RpcError(METHOD_NOT_FOUND, f"no method {method}")
 
 
-@pytest.mark.parametrize("order", ["take", "release"])
+@each("order", ["take", "release"])
 def test_a_station_without_leases_says_what_they_need(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def called(command: Any) -> None:
         await command(StationWithoutLeases())

@@ -41,7 +41,7 @@ def test_paths_begin_at_the_fleet_file_and_the_rest_has_its_defaults(tmp_path: P
     assert fleet.delegated == {"alpha"} and fleet.vehicle_configs()[0].delegated
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "expected"),
     [
         ("[federation]\n", "federation.servers"),
@@ -50,7 +50,7 @@ def test_paths_begin_at_the_fleet_file_and_the_rest_has_its_defaults(tmp_path: P
         (f"[federation]\n{TABLE}subscribe_hz = 5\n", "federation.subscribe_hz (line 5): must be one of 10, 2"),
         (
             f"[federation]\n{TABLE}[federation.vehicles.a]\nhome='south'\n",
-            "federation.vehicles.a (line 5): is no vehicle",
+            "federation.vehicles.a (line 5): is not a vehicle",
         ),
         (
             f"[federation]\n{TABLE}[federation.vehicles.a]\nhome='south'\nwithout='x'\n[vehicles.a]\nsysid=1\n",
@@ -131,18 +131,21 @@ def test_an_inventory_has_absolute_paths_and_knows_who_orders_whom(tmp_path: Pat
     assert ordered == {"north": ["south"], "south": [], "boss": ["north", "south"]}
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "expected"),
     [
         ("", "users: is missing"),
         ("[users.north]\nrole = 'site'\n", "users.north (line 1): needs nkey"),
-        ("[users.north]\nrole = 'site'\nnkey = 'SUAB'\n", "users.north.nkey (line 3): is no public key"),
+        ("[users.north]\nrole = 'site'\nnkey = 'SUAB'\n", "users.north.nkey (line 3): is not a public key"),
         (users(north='role="pilot"'), "users.north.role (line 3)"),
         (
             users(north='role="observer"\norders=["*"]'),
             'users.north (line 1): orders has no meaning for role "observer"',
         ),
-        (users(north='role="site"\norders=["south"]'), 'users.north.orders (line 4): names "south", which is no user'),
+        (
+            users(north='role="site"\norders=["south"]'),
+            'users.north.orders (line 4): names "south", which is not a user',
+        ),
         (users(North='role="site"'), "users.North (line 1): must be a small letter"),
         (f'listen="0.0.0.0:4222"\n{users(north="role=" + repr("site"))}', "listen (line 1): 0.0.0.0:4222: an address"),
         (f'listen="127.0.0.1"\n{users(north="role=" + repr("site"))}', "listen (line 1)"),

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import pytest
-
 from skygcs.ext.formation.evasion import Evasion, straight_to
 from skygcs.ext.formation.separation_filter import Member, MotionBounds, Moving, Obstacle, SeparationFilter, Vector
 from support.examples import seeds
 from support.formation_encounters import encounter
+from support.table import each
 
 BOUNDS = MotionBounds()
 
@@ -28,7 +27,7 @@ def off_m(filter_: SeparationFilter, goals: list[Vector]) -> list[float]:
     return [math.dist(m.moving.pos_enu_m, goal) for m, goal in zip(filter_.members.values(), goals, strict=True)]
 
 
-@pytest.mark.parametrize("away", [(20.0, 0.0, 0.0), (0.0, 0.0, 20.0), (8.0, 8.0, 4.0)])
+@each("away", [(20.0, 0.0, 0.0), (0.0, 0.0, 20.0), (8.0, 8.0, 4.0)])
 def test_two_change_places(away: Vector) -> None:
     a = (0.0, 0.0, 10.0)
     b = (a[0] + away[0], a[1] + away[1], a[2] + away[2])
@@ -88,7 +87,7 @@ def test_the_velocity_towards_a_place_lets_it_stop_there() -> None:
     assert math.dist(moving.pos_enu_m, (20.0, -10.0, 14.0)) < 0.01
 
 
-@pytest.mark.parametrize("seed", seeds(6))
+@each("seed", seeds(6))
 def test_vehicles_in_the_wind_keep_their_footprints_clear(seed: int) -> None:
     outcome = encounter(seed, seconds=25.0, strangers=False)
     assert outcome.references_m >= 0.0

@@ -20,6 +20,7 @@ from skygcs.ext.formation.separation_filter import (
     Vector,
 )
 from support.formation_encounters import places
+from support.table import each
 
 RATIO = 2.0
 BOUNDS = MotionBounds(speed_mps=3.0, climb_mps=1.5, acc_xy_mps2=2.0, acc_z_mps2=1.0)
@@ -81,7 +82,7 @@ def test_no_pair_comes_nearer_than_is_promised(
             assert math.hypot(*member.moving.vel_enu_mps[:2]) <= BOUNDS.speed_mps * 20
 
 
-@pytest.mark.parametrize("nonsense", [math.nan, math.inf, -math.inf, 1e300])
+@each("nonsense", [math.nan, math.inf, -math.inf, 1e300])
 def test_what_is_no_velocity_is_not_taken(nonsense: float) -> None:
     filter_ = filter_of((0.0, 0.0, 10.0), (9.0, 0.0, 10.0))
     for _ in range(20):
@@ -136,7 +137,7 @@ def test_where_it_may_not_stand_it_does_not_go() -> None:
     assert 11.0 < filter_.members["v0"].moving.pos_enu_m[0] <= 12.0
 
 
-@pytest.mark.parametrize("speed_mps", [0.0, 1.0])
+@each("speed_mps", [0.0, 1.0])
 def test_around_an_obstacle_that_flies_straight_on_there_is_room(speed_mps: float) -> None:
     filter_ = filter_of((0.0, 0.0, 10.0))
     for step in range(300):

@@ -74,10 +74,7 @@ def test_all_that_is_needed_must_be_there_centred_and_released() -> None:
 
 @each(
     ("events", "word"),
-    [
-        ([*CENTRED, PRESS], "button 5 is pressed"),
-        ([*CENTRED[:-1], FORWARD, RELEASE], "axis 4 (forward) at -100%"),
-    ],
+    [([*CENTRED, PRESS], "button 5 is pressed"), ([*CENTRED[:-1], FORWARD, RELEASE], "axis 4 (forward) at -100%")],
 )
 def test_a_stuck_button_or_stick_is_refused_at_the_start(events: list[JoystickEvent], word: str) -> None:
     (end,) = Rig().events(*events)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 import xml.etree.ElementTree as ElementTree
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from skygcs.cli.main import app
 from skygcs.core.control import ControlConfig, Estimate, Memory, Reference
 from skygcs.core.control.trace import TraceRow, TraceWriter
+from support.command_line import said
 from support.flown_trace import HEAD, flown_trace
 
 COSTS = "matplotlib draws"
@@ -19,11 +19,7 @@ COSTS = "matplotlib draws"
 DONE, FAILED, USAGE = 0, 1, 2
 
 
-def run(*args: str | Path, code: int = DONE) -> str:
-    result = CliRunner().invoke(app, ["plot", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result.output
+run = partial(said, "plot")
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +47,6 @@ def test_everything_an_engineer_asks_is_in_the_figure(trace: Path, tmp_path: Pat
     ):
         assert word in found, word
     assert "position: no loop here" not in found
-    again = tmp_path / "again.svg"
-    run(trace, "-o", again)
-    assert again.read_bytes() == file.read_bytes()
 
 
 def test_the_default_is_a_png_beside_the_trace(trace: Path) -> None:
@@ -83,10 +76,13 @@ def file_of(folder: Path, *rows: TraceRow) -> Path:
     return path
 
 
-def test_rows_without_reference_or_estimate_are_drawn_as_gaps(tmp_path: Path) -> None:
+@pytest.mark.deep  # draws twice
+def test_rows_without_reference_or_estimate_are_drawn_as_gaps_and_each_time_alike(tmp_path: Path) -> None:
     path = file_of(tmp_path, row(7.0, None, None, None), row(7.02, "position", None, None))
-    assert "2 rows, 0.0 s" in run(path, "-o", tmp_path / "x.svg")
+    for name in ("x.svg", "again.svg"):
+        assert "2 rows, 0.0 s" in run(path, "-o", tmp_path / name)
     assert "position: no loop here" in words(tmp_path / "x.svg")
+    assert (tmp_path / "x.svg").read_bytes() == (tmp_path / "again.svg").read_bytes()
 
 
 @pytest.mark.deep  # draws

@@ -15,6 +15,7 @@ from support.examples import thinned
 from support.flight_log import ORIGIN, T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, own_capture, vehicles_of
+from support.table import each
 
 
 def flown(data: bytes, origin: Origin | None = None, kind: str = "tlog") -> RecordedFlight:
@@ -68,7 +69,7 @@ def test_lost_frames_are_those_that_were_left_out() -> None:
         assert ratios == [pytest.approx(vehicle.loss_ratio, abs=0.001)]
 
 
-@pytest.mark.parametrize("name", ["px4-late-frames", "second-heartbeat-1hz"])
+@each("name", ["px4-late-frames", "second-heartbeat-1hz"])
 def test_no_loss_is_drawn_where_frames_came_late_or_from_another_program(name: str) -> None:
     """It was a band of 25 % and more."""
     flight = flown(own_capture(name))
@@ -168,7 +169,7 @@ def test_our_own_capture_has_five_flights() -> None:
     ]
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 6, turn=6))
+@each("name", thinned(captures("tlog") + captures("raw"), 6, turn=6))
 def test_every_log_gives_its_vehicles_and_bounded_figures(name: str) -> None:
     data, expected = capture(name)
     flight = flown(data, kind=expected["kind"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from support.examples import thinned
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, own_capture
+from support.table import each
 
 
 def read(data: bytes, kind: LogKind = "tlog") -> tuple[list[LogEntry], LogReader]:
@@ -26,7 +26,7 @@ def log(*records: tuple[float, bytes]) -> bytes:
     return b"".join(encode_record(T0_US + round(t_s * 1e6), raw) for t_s, raw in records)
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 6, turn=3))
+@each("name", thinned(captures("tlog"), 6, turn=3))
 def test_faults_of_a_tlog_are_those_that_an_independent_walker_found(name: str) -> None:
     data, expected = capture(name)
     entries, reader = read(data)
@@ -74,7 +74,7 @@ def test_a_record_a_few_milliseconds_older_is_counted_and_no_fault() -> None:
     assert faults.lines() == ["the time goes backwards once: at byte 116 (by 0.020000 s)"]
 
 
-@pytest.mark.parametrize("name", ["px4-late-frames", "forged-heartbeat-50hz", "second-heartbeat-1hz"])
+@each("name", ["px4-late-frames", "forged-heartbeat-50hz", "second-heartbeat-1hz"])
 def test_own_recordings_of_before_one_clock_are_not_complained_of(name: str) -> None:
     """Two ways of recording stamped by two clocks: up to 3.3 ms backwards."""
     faults = read(own_capture(name))[1].faults

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from skygcs.errors import RefusedError
 from skygcs.ext.logs import recordings
 from skygcs.ext.logs.recordings import Found, recording_of, recordings_in
+from support.table import each
 
 
 def put(folder: Path, name: str, changed: float = 1e9, content: bytes = b"x") -> Path:
@@ -45,7 +46,7 @@ def test_the_begin_is_that_of_the_name() -> None:
     assert Found("flight.tlog", 1, 2.0).begun_unix_s is None
 
 
-@pytest.mark.parametrize(
+@each(
     "name",
     [
         "../secret.tlog",

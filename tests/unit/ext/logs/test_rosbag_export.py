@@ -36,6 +36,7 @@ from skygcs.tlog.selection import Selection
 from support.examples import thinned
 from support.public_data import CAPTURE, OWN, captures, public_file
 from support.ros_node import KeptNode
+from support.table import each
 
 COSTS = "logs through the live node's bridge and through rosbag2, read again by rosbags"
 
@@ -46,6 +47,7 @@ PARTS = {"px4-late-frames.tlog": 0, "second-heartbeat-1hz.tlog": 80_000}
 """Both firmwares, and two vehicles of one id, whose second begins 15,000 bytes after this place. `make test` exports
 `PART_BYTES` from here, cut within records; `make test-deep` every log as it is."""
 PX4 = Naming(px4_msgs="1.16")
+
 
 Messages = dict[str, list[tuple[int, Any]]]
 """By topic: bag time and message."""
@@ -87,12 +89,12 @@ def without_nan(value: Any) -> Any:
 def read(bag: Path) -> Messages:
     """Every message, by the definitions in the bag: none of ours is used."""
     messages: Messages = defaultdict(list)
-    with Reader(bag) as reader:
+    with Reader(bag) as opened:
         store = get_typestore(Stores.EMPTY)
-        for connection in reader.connections:
+        for connection in opened.connections:
             store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
             assert store.hash_rihs01(connection.msgtype) == connection.digest
-        for connection, time_ns, data in reader.messages():
+        for connection, time_ns, data in opened.messages():
             messages[connection.topic].append((time_ns, plain(store.deserialize_cdr(data, connection.msgtype))))
     return messages
 
@@ -150,13 +152,13 @@ def live(log: Path, **config: Any) -> KeptNode:
     return node
 
 
-@pytest.mark.parametrize("name", PARTS)
+@each("name", PARTS)
 def test_every_topic_of_a_cut_log_has_what_the_live_node_publishes(name: str, tmp_path: Path) -> None:
     compare_with_the_live_node(part_of(OWN / name, tmp_path, PARTS[name]), tmp_path)
 
 
 @pytest.mark.deep  # seconds of each
-@pytest.mark.parametrize("name", [*thinned(LOGS, 4, turn=1), *thinned(PUBLIC, 2)])
+@each("name", [*thinned(LOGS, 4, turn=1), *thinned(PUBLIC, 2)])
 def test_every_topic_has_what_the_live_node_publishes(name: str, tmp_path: Path) -> None:
     compare_with_the_live_node(OWN / name if name in LOGS else public_file(f"tlog/{name}"), tmp_path)
 
@@ -183,8 +185,8 @@ def compare_with_the_live_node(log: Path, tmp_path: Path) -> None:
 
 def test_qualities_of_service_are_those_of_the_live_node(capture_bag: Path) -> None:
     px4_topics = 0
-    with Reader(capture_bag) as reader:
-        for connection in (one for one in reader.connections if not one.topic.endswith("/mavlink")):
+    with Reader(capture_bag) as opened:
+        for connection in (one for one in opened.connections if not one.topic.endswith("/mavlink")):
             _, _, topic = connection.topic.partition("/mavros/")
             known = TELEMETRY.get(topic) or SHARED.get(connection.topic)
             quality = "px4" if known is None else known.quality
@@ -339,7 +341,7 @@ def test_vehicles_with_one_name_in_ros_are_named(tmp_path: Path, capsys: pytest.
     assert "2/1 has no topics: /uav_1/ are" in capsys.readouterr().err.replace("/uav_1 are", "/uav_1/ are")
 
 
-@pytest.mark.parametrize("wrong_us", [2**64 - 1, 2**63, 2**40 * 10**4, (1 << 31) * 10**6 - 1])
+@each("wrong_us", [2**64 - 1, 2**63, 2**40 * 10**4, (1 << 31) * 10**6 - 1])
 def test_a_record_with_a_wrong_time_ends_no_export(wrong_us: int, tmp_path: Path) -> None:
     damaged = part_of(OWN / "px4-mission-flight.tlog", tmp_path, size=12_000)
     damaged.write_bytes(wrong_us.to_bytes(8, "big") + damaged.read_bytes()[8:])

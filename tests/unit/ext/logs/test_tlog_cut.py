@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from skygcs.cli.main import app
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
+from support.command_line import ran
 from support.examples import thinned
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, PUBLIC, captures, public_file
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 
 
-def run(*args: str | Path, code: int = DONE) -> Result:
-    result = CliRunner().invoke(app, ["tlog", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result
+run = partial(ran, "tlog")
 
 
 def words(output: str) -> str:
@@ -78,12 +77,12 @@ def test_names_come_from_the_fleet_file(flight: Path, tmp_path: Path) -> None:
     assert "the fleet file has bravo, charlie" in words(reported)
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "complaint"),
     [
-        (["--vehicle", "300"], "no id"),
-        (["--vehicle", "5-2"], "no system id"),
-        (["--vehicle", ""], "no system id"),
+        (["--vehicle", "300"], "not an id"),
+        (["--vehicle", "5-2"], "not a system id"),
+        (["--vehicle", ""], "not a system id"),
         (["--message", "NOPE"], "has no message 'NOPE'"),
         (["--from", "soon"], "neither seconds"),
         (["--from", "-1"], "not a number of seconds"),
@@ -217,7 +216,7 @@ def test_orders_are_in_the_log_of_the_vehicle_they_were_for(tmp_path: Path) -> N
     assert "no vehicle in it" in run("split", tmp_path / "in-rest.tlog", code=FAILED).stderr
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 6, turn=5))
+@each("name", thinned(captures("tlog"), 6, turn=5))
 def test_every_log_is_split_and_merged_whole(name: str, tmp_path: Path) -> None:
     path = public_file(f"tlog/{name}")
     run("split", path, "-o", tmp_path)

@@ -76,7 +76,7 @@ def read(path: Path) -> list[tuple[Any, Any, Any]]:
         return list(make_reader(file, validate_crcs=True).iter_messages())
 
 
-@pytest.mark.parametrize("wrong_us", [2**64 - 1, 2**63, 2**40 * 10**4])
+@each("wrong_us", [2**64 - 1, 2**63, 2**40 * 10**4])
 def test_a_record_with_a_wrong_time_ends_no_export(wrong_us: int, tmp_path: Path) -> None:
     log = FLIGHT.with_name("px4-mission-flight.tlog")
     data = log.read_bytes()[:12_000]

@@ -19,6 +19,7 @@ from skygcs.tlog.format import encode_record
 from support.examples import thinned
 from support.frames import dialect, frame, heartbeat, noise, unknown_frame
 from support.public_data import CAPTURE, OWN, ROOT, captures, expected, public_file, vehicles_of
+from support.table import each
 
 T0 = 1_700_000_000_000_000
 KEYS = [
@@ -41,7 +42,7 @@ def tlog(path: Path, *frames: bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 3, turn=7))
+@each("name", thinned(captures("tlog"), 3, turn=7))
 def test_a_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     answer = info(public_file(f"tlog/{name}"), capsys)
     wanted = expected()[name]
@@ -58,7 +59,7 @@ def test_a_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixture[str]
         assert count == wanted["types"][kind] or (count < wanted["types"][kind] and status.get("badcrc"))
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 3, turn=8))
+@each("name", thinned(captures("tlog") + captures("raw"), 3, turn=8))
 def test_vehicles_are_the_autopilots_and_nothing_else(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """No radio, no companion 1/0, no flood of 2/2, no GCS that calls itself ArduPilot."""
     answer = info(public_file(f"tlog/{name}"), capsys)
@@ -69,7 +70,7 @@ def test_vehicles_are_the_autopilots_and_nothing_else(name: str, capsys: pytest.
         assert found == wanted
 
 
-@pytest.mark.parametrize("name", captures("raw"))
+@each("name", captures("raw"))
 def test_a_raw_capture_is_recognised_and_has_no_times(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     answer = info(public_file(f"tlog/{name}"), capsys)
     assert answer["ok"] >= expected()[name]["status"]["ok"]
@@ -118,7 +119,7 @@ def test_what_is_out_of_the_ordinary_is_counted_and_said(tmp_path: Path, capsys:
         assert line in shown
 
 
-@pytest.mark.parametrize("name", ["px4-late-frames", "second-heartbeat-1hz"])
+@each("name", ["px4-late-frames", "second-heartbeat-1hz"])
 def test_a_flight_that_lost_nothing_shows_no_loss(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     answer = info(OWN / f"{name}.tlog", capsys)
     assert len(answer["vehicles"]) == 5
@@ -163,8 +164,8 @@ def test_a_tlog_of_nothing_but_unknown_ids_is_believed_by_its_name(
     assert (answer["records"], answer["unknown"], answer["vehicles"]) == (5, 5, [])
 
 
-@pytest.mark.parametrize("content", [b"", b"\0", b"hello\n" * 100, noise(300_000, 4)])
-@pytest.mark.parametrize("suffix", ["tlog", "bin"])
+@each("content", [b"", b"\0", b"hello\n" * 100, noise(300_000, 4)])
+@each("suffix", ["tlog", "bin"])
 def test_a_file_that_is_no_log_says_so(tmp_path: Path, content: bytes, suffix: str) -> None:
     path = tmp_path / f"x.{suffix}"
     path.write_bytes(content)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
 
-from skygcs.cli.main import app
 from skygcs.ext.logs.player import Player
 from skygcs.tlog.files import opened_log
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.selection import Selection
+from support.command_line import ran
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat
 
@@ -53,11 +53,7 @@ def flight(tmp_path: Path) -> Path:
     return path
 
 
-def run(*args: str | Path | int, code: int = DONE) -> Result:
-    result = CliRunner().invoke(app, ["tlog", "play", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result
+run = partial(ran, "tlog", "play")
 
 
 class Clock:

@@ -5,32 +5,29 @@ from __future__ import annotations
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
 
-from skygcs.cli.main import app
 from skygcs.ext.logs.flight_plot import _looks, flight_figure, read_flight
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
 from skygcs.tlog.selection import Selection
+from support.command_line import ran
 from support.examples import thinned
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline
 from support.public_data import CAPTURE, captures, public_file, vehicles_of
+from support.table import each
 
 COSTS = "matplotlib draws"
 
 DONE, FAILED, USAGE = 0, 1, 2
 
 
-def run(*args: str | Path, code: int = DONE) -> Result:
-    result = CliRunner().invoke(app, ["tlog", "plot", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result
+run = partial(ran, "tlog", "plot")
 
 
 def words(svg: str) -> str:
@@ -119,7 +116,8 @@ def test_the_page_needs_nothing_else_and_shows_texts_as_text(tmp_path: Path) -> 
     assert out.read_bytes() == first
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 2, turn=4))
+@pytest.mark.deep  # draws
+@each("name", thinned(captures("tlog") + captures("raw"), 2, turn=4))
 def test_every_log_has_a_picture(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.svg"
     run(public_file(f"tlog/{name}"), "-o", out)
@@ -149,6 +147,7 @@ def test_more_modes_than_colours_still_look_different(tmp_path: Path) -> None:
     assert "AUTO_RTL" in (tmp_path / "modes.html").read_text()
 
 
+@pytest.mark.deep  # draws
 def test_the_default_is_a_png_beside_the_log(tmp_path: Path) -> None:
     from matplotlib.image import imread
 

@@ -7,30 +7,27 @@ import io
 import math
 import struct
 import sys
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as pymavlink_all
-from typer.testing import CliRunner, Result
 
-from skygcs.cli.main import app
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
+from support.command_line import ran
 from support.examples import thinned
 from support.flight_log import T0_US, FlightLog
 from support.frames import frame, heartbeat, offline
 from support.public_data import captures, expected, present, public_file, vehicles_of
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 
 
-def run(*args: str | Path, code: int = DONE) -> Result:
-    result = CliRunner().invoke(app, ["tlog", "csv", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result
+run = partial(ran, "tlog", "csv")
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -41,7 +38,7 @@ def table(path: Path) -> list[dict[str, str]]:
 DECODED = ["made-v1-v2-mixed.tlog", "made-retrimmed.tlog", "binus-hexa-5src-mixed.tlog", "px4-v2-2020.tlog"]
 
 
-@pytest.mark.parametrize("name", present("tlog", DECODED))
+@each("name", present("tlog", DECODED))
 def test_every_value_is_the_one_that_pymavlink_decodes(name: str, tmp_path: Path) -> None:
     """An independent reader of the same file: its records by the times and lengths, its fields by pymavlink."""
     path = public_file(f"tlog/{name}")
@@ -85,7 +82,7 @@ def same(cell: str, wanted: Any) -> bool:
     return cell == str(wanted)
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog") + captures("raw"), 3, turn=2))
+@each("name", thinned(captures("tlog") + captures("raw"), 3, turn=2))
 def test_every_log_makes_flights_and_tables_of_the_counts_expected(name: str, tmp_path: Path) -> None:
     path = public_file(f"tlog/{name}")
     reported = run(path, "-o", tmp_path)

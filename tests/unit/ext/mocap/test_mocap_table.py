@@ -11,6 +11,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.errors import ConfigError
 from skygcs.ext.mocap.capture_process import arguments
 from skygcs.ext.mocap.config import MocapConfig
+from support.table import each
 
 REST = """
 [origin]
@@ -46,7 +47,7 @@ def test_a_recording_is_found_beside_the_fleet_file(tmp_path: Path) -> None:
     assert arguments(mocap) == ["--file", str(tmp_path / "flight.jsonl"), "--loop", "--body=-a"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("mocap", "rest", "words"),
     [
         ('type = "vicom"\nbodies = { alpha = "a" }\n', REST, ("mocap.type", "did you mean vicon")),
@@ -57,7 +58,7 @@ def test_a_recording_is_found_beside_the_fleet_file(tmp_path: Path) -> None:
         (
             VICON.replace("alpha", "alfa"),
             REST,
-            ("mocap.bodies.alfa", "no vehicle of this file; vehicles: alpha, bravo"),
+            ("mocap.bodies.alfa", "not a vehicle of this file; vehicles: alpha, bravo"),
         ),
         (
             'type = "vicon"\nhost = "h"\nbodies = { alpha = "a", bravo = "a" }\n',

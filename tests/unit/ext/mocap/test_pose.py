@@ -10,16 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.geo import Origin
-from skygcs.ext.mocap.pose import (
-    CaptureFrame,
-    Pose,
-    Quaternion,
-    angle_between_rad,
-    euler,
-    from_euler,
-    ned_frd,
-    rotate,
-)
+from skygcs.ext.mocap.pose import CaptureFrame, Pose, Quaternion, angle_between_rad, euler, from_euler, ned_frd, rotate
 from support.table import each
 
 EAST = Origin(43.78, -79.46, 180.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -47,15 +48,18 @@ def test_a_steady_body_is_accepted_after_a_tenth_of_a_second() -> None:
     assert tracking().filter.tracking
 
 
-def test_what_is_not_seen_is_not_sent_and_a_short_gap_is_no_reset() -> None:
-    cameras = tracking()
+@pytest.fixture
+def cameras() -> Cameras:
+    return tracking()
+
+
+def test_what_is_not_seen_is_not_sent_and_a_short_gap_is_no_reset(cameras: Cameras) -> None:
     cameras.miss(0.1)
     assert cameras.see(1.2) == "accepted"
     assert cameras.filter.reset_counter == 0
 
 
-def test_a_repeated_pose_is_not_sent_and_does_not_keep_the_body_alive() -> None:
-    cameras = tracking()
+def test_a_repeated_pose_is_not_sent_and_does_not_keep_the_body_alive(cameras: Cameras) -> None:
     last = cameras.filter.accepted
     assert last is not None
     for _ in range(30):
@@ -65,20 +69,17 @@ def test_a_repeated_pose_is_not_sent_and_does_not_keep_the_body_alive() -> None:
     assert cameras.see() == "searching"
 
 
-def test_a_jump_is_not_sent_and_the_body_goes_on_from_where_it_was() -> None:
-    cameras = tracking()
+def test_a_jump_is_not_sent_and_the_body_goes_on_from_where_it_was(cameras: Cameras) -> None:
     assert cameras.see(2.0) == "jump"
     assert cameras.see(1.0, yaw=2.0) == "jump"
     assert cameras.see(1.0) == "accepted"
 
 
-def test_motion_is_no_jump() -> None:
-    cameras = tracking()
+def test_motion_is_no_jump(cameras: Cameras) -> None:
     assert {cameras.see(1.0 + 0.04 * n, yaw=0.05 * n) for n in range(100)} == {"accepted"}  # 4 m/s, 5 rad/s
 
 
-def test_a_body_that_is_found_again_counts_as_reset_once_it_is_steady() -> None:
-    cameras = tracking()
+def test_a_body_that_is_found_again_counts_as_reset_once_it_is_steady(cameras: Cameras) -> None:
     cameras.miss(0.5)
     verdicts = [cameras.see(1.1) for _ in range(15)]
     assert verdicts[:10] == ["searching"] * 10 and verdicts[-1] == "accepted"
@@ -90,23 +91,20 @@ def test_a_body_that_is_found_again_counts_as_reset_once_it_is_steady() -> None:
     assert cameras.filter.reset_counter == 0
 
 
-def test_an_unsteady_body_is_not_found() -> None:
-    cameras = tracking()
+def test_an_unsteady_body_is_not_found(cameras: Cameras) -> None:
     cameras.miss(0.5)
     assert {cameras.see(1.0 + n % 2) for n in range(200)} == {"searching"}
 
 
-def test_another_body_far_away_is_not_taken_while_the_vehicle_is_armed() -> None:
-    cameras = tracking()
+def test_another_body_far_away_is_not_taken_while_the_vehicle_is_armed(cameras: Cameras) -> None:
     far = 1.0 + LIMITS.max_jump_m + MOST_M + 0.5
     verdicts = [cameras.see(far, armed=True) for _ in range(1000)]
     assert "accepted" not in verdicts and verdicts[-1] == "out of reach"
     assert cameras.see(far, armed=False) == "accepted"
 
 
-def test_one_that_could_not_be_it_at_first_is_not_it_later_either() -> None:
+def test_one_that_could_not_be_it_at_first_is_not_it_later_either(cameras: Cameras) -> None:
     """2.4 m beside after 0.3 s: a vehicle may have drifted as far a second later, but this body stood there before."""
-    cameras = tracking()
     cameras.miss(0.3)
     verdicts = [cameras.see(3.4, armed=True) for _ in range(500)]
     assert "accepted" not in verdicts
@@ -115,8 +113,7 @@ def test_one_that_could_not_be_it_at_first_is_not_it_later_either() -> None:
     assert [cameras.see(1.2, armed=True) for _ in range(15)][-1] == "accepted", "the vehicle itself is found"
 
 
-def test_poses_that_come_late_or_backwards_are_old() -> None:
-    cameras = tracking()
+def test_poses_that_come_late_or_backwards_are_old(cameras: Cameras) -> None:
     assert cameras.filter.judge(Pose(cameras.now, (1, 2, 1), about_up(0)), cameras.now) == "old"
     assert cameras.filter.judge(Pose(cameras.now + DT, (1, 2, 1), about_up(0)), cameras.now + 1.0) == "old"
     assert not cameras.filter.tracking

@@ -88,7 +88,7 @@ def test_no_bytes_raise(line: bytes) -> None:
 def test_a_recording_names_the_line_that_is_wrong() -> None:
     good = frame_lines(1.0, {"a": BODY})[0]
     assert [f.at for f in frames_of([good, b"\n", state_line("connected", ""), frame_lines(2.0, {})[0]])] == [1.0, 2.0]
-    with pytest.raises(ValueError, match="line 2 is no frame"):
+    with pytest.raises(ValueError, match="line 2 is not a frame"):
         list(frames_of([good, b"x"]))
     with pytest.raises(ValueError, match=r"line 2: its time 0\.5 is before"):
         list(frames_of([good, frame_lines(0.5, {})[0]]))

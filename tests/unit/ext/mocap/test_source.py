@@ -109,9 +109,14 @@ def test_a_recording_is_played_at_its_own_pace(tmp_path: Path) -> None:
     assert play(file, loop=True, most=6) == [100.0, 100.25, 100.5, 100.5, 100.75, 101.0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "words"),
-    [(b"", "has no frames"), (b"nonsense\n", "line 1 is no frame"), (b"x" * 100_000, "line 1"), (None, "No such file")],
+    [
+        (b"", "has no frames"),
+        (b"nonsense\n", "line 1 is not a frame"),
+        (b"x" * 100_000, "line 1"),
+        (None, "No such file"),
+    ],
 )
 def test_a_recording_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | None, words: str) -> None:
     file = tmp_path / "r.jsonl"

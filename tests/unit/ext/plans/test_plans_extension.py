@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from skygcs.rpc.client import connect
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.plan_place import NO_PLAN, PlanPlace
 from support.called import call
+from support.daemons import started
 
 
 def new_daemon(folder: Path) -> Daemon:
@@ -33,22 +33,16 @@ def test_the_core_has_none_of_their_methods() -> None:
 
 async def test_the_first_call_makes_them_and_discovery_shows_them_before(tmp_path: Path) -> None:
     daemon = new_daemon(tmp_path)
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    try:
-        async with connect(tmp_path / "s") as gcs:
-            assert daemon.fleet.plans.keeper is None
-            document = await gcs.call("rpc.discover")
-            assert {m.name for m in PLAN_METHODS} <= {m["name"] for m in document["methods"]}
-            status = await gcs.call("plan.status")
-            assert {key: status[key] for key in NO_PLAN} == NO_PLAN
-            assert isinstance(daemon.extensions["plan"], Plans)
-            assert daemon.fleet.plans.keeper is daemon.extensions["plan"].runner
-            none = {"jobs": [], "answered": 0, "failed": 0, "cancelled": 0, "turned_away": 0}
-            assert await gcs.call("plan.jobs") == none
-    finally:
-        daemon.stop()
-        await running
+    async with started(daemon), connect(tmp_path / "s") as gcs:
+        assert daemon.fleet.plans.keeper is None
+        document = await gcs.call("rpc.discover")
+        assert {m.name for m in PLAN_METHODS} <= {m["name"] for m in document["methods"]}
+        status = await gcs.call("plan.status")
+        assert {key: status[key] for key in NO_PLAN} == NO_PLAN
+        assert isinstance(daemon.extensions["plan"], Plans)
+        assert daemon.fleet.plans.keeper is daemon.extensions["plan"].runner
+        none = {"jobs": [], "answered": 0, "failed": 0, "cancelled": 0, "turned_away": 0}
+        assert await gcs.call("plan.jobs") == none
     with pytest.raises(RefusedError, match="shutting down"):
         new = new_daemon(tmp_path)
         new.extensions.close()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from skygcs.cli.main import app
 from skygcs.ext.radio_tools.settings import Firmware, RadioState, Register, to_toml
 from skygcs.ext.radio_tools.timing_file import joined, pair_problems, spoils, to_text
+from support.command_line import said
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 FLEET = """
@@ -36,10 +37,7 @@ def no_daemon(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", str(tmp_path / "nobody.sock"))
 
 
-def run(*args: str | Path, code: int = DONE) -> str:
-    result = CliRunner().invoke(app, ["radio", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    return result.output
+run = partial(said, "radio")
 
 
 def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: Path) -> None:
@@ -74,7 +72,7 @@ def test_antennas_are_planned_for_the_ground_and_for_the_vehicles(tmp_path: Path
         assert {row["settings"]["ANT_MODE"] for row in given} == {3}
 
 
-@pytest.mark.parametrize(
+@each(
     ("args", "code", "said"),
     [
         (("provision", "{}/fleet.toml", "--antennas", "3"), USAGE, "both, 1, 2, tx1-rx2"),
@@ -149,7 +147,7 @@ def changed(unique_id: str = "0x2", firmware: Firmware = Firmware.RFD_MULTIPOINT
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("other", "said"),
     [
         (changed(), None),
@@ -170,15 +168,15 @@ def test_radios_that_cannot_be_measured_together_are_named(other: RadioState, sa
     assert (problems == []) if said is None else any(said in text for text in problems)
 
 
-@pytest.mark.parametrize(
+@each(
     ("args", "code", "said"),
     [
         (("{}/none", "{}/other"), FAILED, "no such device"),
         (("{}/file", "{}/none"), FAILED, "not a serial port"),
         (("{}/file", "{}/same"), FAILED, "are one port"),
-        (("{}/none", "{}/other", "-o", "{}/file"), FAILED, "is no timing file"),
-        (("{}/none", "{}/other", "-o", "{}/binary"), FAILED, "is no timing file"),
-        (("{}/none", "{}/other", "-o", "{}"), FAILED, "is no timing file"),
+        (("{}/none", "{}/other", "-o", "{}/file"), FAILED, "is not a timing file"),
+        (("{}/none", "{}/other", "-o", "{}/binary"), FAILED, "is not a timing file"),
+        (("{}/none", "{}/other", "-o", "{}"), FAILED, "is not a timing file"),
         (("{}/none", "{}/other", "-o", "{}/nowhere/t.toml"), FAILED, "cannot be written"),
         (("{}/none", "{}/other", "--seconds", "1"), USAGE, "--seconds"),
         (("{}/none", "{}/other", "--nodes", "1"), USAGE, "--nodes"),

@@ -7,17 +7,7 @@ from collections.abc import Generator
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.ext.radio_tools.dialogue import (
-    MAX_HEARD_BYTES,
-    Dialogue,
-    Quiet,
-    Reply,
-    Say,
-    Speak,
-    Status,
-    Step,
-    Until,
-)
+from skygcs.ext.radio_tools.dialogue import MAX_HEARD_BYTES, Dialogue, Quiet, Reply, Say, Speak, Status, Step, Until
 
 
 def once(step: Step) -> Generator[Step, Reply, Reply]:

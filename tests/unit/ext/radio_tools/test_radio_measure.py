@@ -20,7 +20,7 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import TdmConfig, TdmNetwork
 
 DIALECT = load_dialect("ardupilotmega")
-STEP_S = 0.002
+STEP_S = 0.004
 """How often the ports are read."""
 
 

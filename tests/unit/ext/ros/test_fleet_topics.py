@@ -14,6 +14,7 @@ from skygcs.errors import RpcError
 from skygcs.ext.ros.commands import app, write_messages
 from skygcs.ext.ros.fleet_topics import FleetTopics
 from support.ros_node import KeptNode
+from support.table import each
 
 NOW_NS = 1_700_000_000 * 10**9
 
@@ -128,7 +129,7 @@ def test_the_package_is_written_into_an_empty_folder_only(tmp_path: Path) -> Non
     assert done.exit_code == 0 and f"{len(written)} files" in done.output
 
 
-@pytest.mark.parametrize("below", ["", "under/it"])
+@each("below", ["", "under/it"])
 def test_a_file_is_no_folder(tmp_path: Path, below: str) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OSError):

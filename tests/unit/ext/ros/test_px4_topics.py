@@ -40,9 +40,9 @@ class Daemon:
         outcome = {"ok": ok, "result": "accepted" if ok else "denied", "message": "" if ok else "not now"}
         return {"outcomes": {params["targets"]: outcome}}
 
-    async def setpoint(self, name: str, valid_s: float, **params: Any) -> dict[str, Any]:
+    async def setpoint(self, name: str, came_at: float, **params: Any) -> dict[str, Any]:
         self.setpoints.append(params)
-        return {name: {"ok": True, "message": ""}}
+        return {"ok": True, "message": ""}
 
 
 class Rig:
@@ -185,7 +185,7 @@ def test_a_flood_of_commands_is_bounded() -> None:
         rig.node.read("/alpha/fmu/out/vehicle_command_ack")
         rig.daemon.gate.clear()
         for _ in range(1000):
-            rig.command(400, 0)
+            rig.command(400, 1)
         assert rig.acks().count((400, 1)) == 1000 - 8
         report = RosReport(**rig.bridge.report(1.0))
         assert {vehicle.name: vehicle.commands_rejected for vehicle in report.vehicles}["alpha"] == 1000 - 8
@@ -194,9 +194,32 @@ def test_a_flood_of_commands_is_bounded() -> None:
         rig.daemon.gate.set()
         await settle()
         assert len(rig.daemon.orders) == 8
-        rig.command(400, 0)
+        rig.command(400, 1)
         await settle()
         assert rig.acks()[-1] == (400, 0)
+
+    run(check)
+
+
+def test_what_ends_a_flight_goes_at_once_in_place_of_what_waits() -> None:
+    async def check(rig: Rig) -> None:
+        rig.node.read("/alpha/fmu/out/vehicle_command_ack")
+        rig.daemon.gate.clear()
+        for _ in range(9):
+            rig.command(511, 30, 1e5)
+        await settle()
+        for number in (21, 400):
+            for _ in range(100):
+                rig.command(number, 0)
+        rig.command(176, 1, 4, 6)  # AUTO.LAND
+        rig.command(400, 1)
+        await settle()
+        rig.daemon.gate.set()
+        await settle()
+        asked = [method.removeprefix("vehicles.") for method, _ in rig.daemon.orders]
+        assert asked == ["land", "disarm", "mode", "arm"]
+        assert {(511, 6), (511, 1), (21, 5), (400, 5)} <= set(rig.acks())
+        assert rig.acks()[-4:] == [(21, 0), (400, 0), (176, 0), (400, 0)]
 
     run(check)
 

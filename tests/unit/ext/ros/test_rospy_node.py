@@ -16,8 +16,10 @@ from skygcs.core.ros.interfaces import InterfaceError, ros1_interfaces
 from skygcs.errors import SkygcsError
 from skygcs.ext.ros import rospy_node
 from skygcs.ext.ros.config import RosConfig
+from skygcs.ext.ros.late_gate import LATE, WAITED
 from skygcs.ext.ros.rospy_node import MOST_PENDING, RospyNode
-from skygcs.ext.ros.rospy_program import Program, packed, read_frame
+from skygcs.ext.ros.rospy_program import Beat, Call, Program, packed, read_frame
+from support.table import each
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
@@ -140,16 +142,19 @@ def test_messages_requests_and_readers_come_and_are_bounded(tmp_path: Path, monk
     known = ros1_interfaces()
     data = ros1.encode(known, POSE, {"pose": {"position": {"x": 3.0}}})
     frames = packed({"is": "message", "id": 1}, data) + packed({"is": "message", "id": 1}, data[:-3])
-    frames += packed({"is": "readers", "id": 0, "count": 2}) + packed({"is": "call", "id": 2, "call": 1}, b"\x01")
-    frames += packed({"is": "call", "id": 2, "call": 2}, b"")
-    frames += b"".join(packed({"is": "call", "id": 2, "call": 3 + n}, b"\0") for n in range(MOST_PENDING))
+    frames += packed({"is": "readers", "id": 0, "count": 2}) + packed(
+        {"is": "call", "id": 2, "call": 1, "late": False}, b"\x01"
+    )
+    frames += packed({"is": "call", "id": 2, "call": 2, "late": False}, b"")
+    frames += b"".join(packed({"is": "call", "id": 2, "call": 3 + n, "late": True}, b"\0") for n in range(MOST_PENDING))
     more = f"if head['do'] == 'serve': out.write({frames!r}); out.flush()"
     rig = Rig(tmp_path, monkeypatch, more)
     node, got = rig.node, []
-    gate = asyncio.Event()
+    gate, waited = asyncio.Event(), list[str | None]()
 
     async def handle(request: dict[str, Any]) -> dict[str, Any]:
         if not request["value"]:
+            waited.append(LATE.get())
             await gate.wait()
         return {"success": request["value"]}
 
@@ -163,7 +168,7 @@ def test_messages_requests_and_readers_come_and_are_bounded(tmp_path: Path, monk
         assert (setpoint.received, setpoint.rejected, got[0]["pose"]["position"]["x"]) == (2, 1, 3.0)
         assert pose.readers == 2 and pose.wanted
         assert (service.calls, service.rejected, service.overflown) == (MOST_PENDING, 1, 1)
-        assert "answer 2 0000" in rig.lines()
+        assert "answer 2 0000" in rig.lines() and set(waited) == {WAITED}
 
     rig.run(test)
 
@@ -219,6 +224,27 @@ def test_the_program_declares_publishes_and_counts() -> None:
     program.on_frame({"do": "answer", "call": 99}, b"")  # of a call that has ended
 
 
+def test_what_waited_while_the_program_stood_still_is_dropped_or_called_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    rospy, out = FakeRospy(), io.BytesIO()
+    program = Program(rospy, out)
+    program.beat = Beat(lambda: now[0])
+    message = rospy.AnyMsg()
+    for step_s, passed in ((0.9, True), (1.2, False), (0.9, False), (0.2, True)):
+        now[0] += step_s
+        before = out.tell()
+        program._on_message(message, 7)
+        assert (out.tell() > before) is passed, now
+    monkeypatch.setattr(Call, "wait", lambda call: b"")
+    for step_s, late in ((60.0, True), (1.1, False)):  # whether it ends a flight the other process knows
+        now[0] += step_s
+        before = out.tell()
+        program._answer(1, b"")
+        out.seek(before)
+        frame = read_frame(out)
+        assert frame is not None and frame[0]["late"] is late
+
+
 def test_a_later_reader_of_events_gets_the_last_hundred() -> None:
     rospy = FakeRospy()
     program = Program(rospy, io.BytesIO())
@@ -232,7 +258,7 @@ def test_a_later_reader_of_events_gets_the_last_hundred() -> None:
     assert got == list(range(30, 130))
 
 
-@pytest.mark.parametrize(
+@each(
     "table",
     [
         {"version": 1, "px4_msgs": "1.16"},

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from skygcs.cli.main import app
 from skygcs.errors import RpcError
 from skygcs.ext.shell import commands
 from skygcs.rpc import error_codes
+from support.command_line import ran
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -71,10 +71,7 @@ def daemon(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[FakeDaem
     assert fake.closed == 1 or not fake.opened
 
 
-def run(*words: str, code: int = DONE, typed: str = "") -> Any:
-    result = CliRunner().invoke(app, ["shell", *words], input=typed)
-    assert result.exit_code == code, result.output + repr(result.exception)
-    return result
+run = partial(ran, "shell")
 
 
 def test_one_line_prints_what_it_puts_out_and_nothing_else(daemon: FakeDaemon) -> None:

@@ -5,14 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.ext.shell.shell_input import (
-    INTERRUPT,
-    MAX_LINE_CHARS,
-    MAX_WAITING_BYTES,
-    PIPE_BYTES,
-    QUIET_S,
-    ShellInput,
-)
+from skygcs.ext.shell.shell_input import INTERRUPT, MAX_LINE_CHARS, MAX_WAITING_BYTES, PIPE_BYTES, QUIET_S, ShellInput
 
 
 class Shell:

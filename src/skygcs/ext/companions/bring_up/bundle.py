@@ -270,7 +270,7 @@ def read_bundle(path: Path) -> Bundle:
     except OSError as error:
         raise SkygcsError(f"{path}: {error.strerror or error}") from None
     except (tarfile.TarError, ValueError, KeyError, TypeError) as error:
-        raise SkygcsError(f"{path} is no bundle of `skygcs-cli companions bundle`: {error}") from None
+        raise SkygcsError(f"{path} is not a bundle of `skygcs-cli companions bundle`: {error}") from None
     return Bundle(
         path=path,
         version=manifest["version"],

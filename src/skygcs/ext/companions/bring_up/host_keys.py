@@ -121,7 +121,7 @@ def _read(path: Path) -> SSHKnownHosts | None:
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from None
     except ValueError as error:
-        raise ConfigError(str(path), [f"is no known_hosts file: {str(error)[:200]}"]) from None
+        raise ConfigError(str(path), [f"is not a known_hosts file: {str(error)[:200]}"]) from None
 
 
 def _write(path: Path, text: str) -> None:

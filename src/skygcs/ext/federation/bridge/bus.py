@@ -670,7 +670,7 @@ def _reason(error: Exception, client: _Client) -> str:
         case nats.errors.Error():
             pass
         case _:
-            return f"is no hub, or a broken one ({type(cause).__name__}: {text})"
+            return f"is not a hub, or is a broken one ({type(cause).__name__}: {text})"
     if "authorization violation" in text.lower():
         return "does not accept this station's key: its public key must be in the hub's inventory"
     return text or type(cause).__name__

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 import nats.js.errors
 from pydantic_core import from_json, to_json
 
+from skygcs.cancellation import carried_through
+from skygcs.config.files import boot_s
 from skygcs.errors import BusError, RpcError
 from skygcs.events import Event
 from skygcs.ext.federation.bridge.bus import Message, store_errors
@@ -78,11 +80,6 @@ RELEASE_WITHIN_S = 1.0
 
 FLYING = frozenset({"engaging", "flying"})
 """States of control in which a vehicle is not given away without force."""
-
-
-def boot_s() -> float:
-    """The clock of leases and grants, in seconds: it runs while the machine sleeps, and the daemon reads the same."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Leases:
@@ -178,7 +175,7 @@ class Leases:
                         task.result()
                 await asyncio.sleep(TICK_S)
         finally:
-            await self._give_back()
+            await carried_through(self._give_back())  # else another site waits until they run out
             for task in (*running, *self._tasks):
                 task.cancel()
             await asyncio.gather(*running, *self._tasks, return_exceptions=True)

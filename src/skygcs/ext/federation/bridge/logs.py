@@ -127,7 +127,7 @@ class SiteLogs:
             case {"sum": {"name": str() as name, "bytes": int() as length}}:
                 sha256 = await asyncio.to_thread(sha256_of, self._path(name), length)
                 return {"sha256": sha256}
-        raise ValueError("what is asked for is no list, part or sum")
+        raise ValueError("the request is not for a list, part or sum")
 
     async def _offer(self, path: Path, offset: int) -> dict[str, Any]:
         """Put a part of a file into the store, under a name that was never used before."""
@@ -143,7 +143,7 @@ class SiteLogs:
     def _path(self, name: str) -> Path:
         """The path of a log. Raises ValueError for any other name, so that no other file can be requested."""
         if FILE_NAME.fullmatch(name) is None:
-            raise ValueError(f"{name[:80]!r} is no name of a log")
+            raise ValueError(f"{name[:80]!r} is not a name of a log")
         return self._folder / name
 
 
@@ -245,7 +245,7 @@ class LogCollector:
         wanted = await self._ask(site, {"sum": {"name": name, "bytes": size}}, SUM_WITHIN_S)
         if await asyncio.to_thread(sha256_of, part, size) != wanted.get("sha256"):
             part.unlink()
-            raise SkygcsError("it is not as it is at the site, and was thrown away; collect again")
+            raise SkygcsError("it differs from the one at the site, and was discarded; collect again")
         os.utime(part, (modified_unix_s, modified_unix_s))
         part.replace(target)
         self._done.files.append(target)
@@ -278,7 +278,7 @@ class LogCollector:
         hub permits to no station. Raises BusError, also for content whose SHA-256 is wrong, and SkygcsError for what is
         no object of a site's, which another attempt would not change."""
         if not isinstance(name, str) or OBJECT_NAME.fullmatch(name) is None:
-            raise SkygcsError("the site sent what is no name of an object")
+            raise SkygcsError("the site sent an invalid name of an object")
         store: ObjectStore = await self._bus.object_store(LOGS)
         jetstream = self._bus.jetstream()
         with store_errors(LOGS):
@@ -295,10 +295,10 @@ class LogCollector:
             except NotFoundError:
                 raise BusError(LOGS, f"the hub has no {name} any more") from None
             except BadObjectMetaError:
-                raise SkygcsError("the object in the store is described as no part of a log is") from None
+                raise SkygcsError("the object in the store is not a part of a log") from None
         digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode()
         if info.digest != f"SHA-256={digest}":
-            raise BusError(LOGS, f"{name} is not as it was put there")
+            raise BusError(LOGS, f"{name} was changed in the store")
         return bytes(data)
 
     async def _ask(self, site: str, question: dict[str, Any], within_s: float) -> dict[str, Any]:
@@ -353,7 +353,7 @@ def _chunks(info: ObjectInfo) -> int:
     store. Raises SkygcsError for one that describes no part."""
     chunks: object = info.chunks
     if isinstance(chunks, bool) or not isinstance(chunks, int) or not 0 <= chunks <= MAX_CHUNKS:
-        raise SkygcsError("the object in the store is described as no part of a log is (chunks)")
+        raise SkygcsError("the object in the store is not a part of a log (chunks)")
     if not isinstance(info.nuid, str) or NUID.fullmatch(info.nuid) is None:
-        raise SkygcsError("the object in the store is described as no part of a log is (nuid)")
+        raise SkygcsError("the object in the store is not a part of a log (nuid)")
     return chunks

@@ -212,10 +212,10 @@ class OrdersSent:
         return await self._order(method, params, vehicles, user, several=len(vehicles) > 1)
 
     async def answer_outcome(self, params: Json) -> Json:
-        """Return what became of an order to a vehicle of another site, by the id that its outcome showed. The site is
-        asked.
+        """Return what became of an order to a vehicle of another site, by the id that its outcome showed.
 
-        An order that has not come there when it is asked is refused from then on."""
+        The site is asked. An order that has not come there by then is refused from then on.
+        """
         return await self.outcome(str(params["id"]))
 
     async def outcome(self, text: str) -> Json:
@@ -225,7 +225,7 @@ class OrdersSent:
         sent = self._sent.get(key)
         if not is_key(key) or not (sent if not site else SITE_NAME.fullmatch(site)):
             raise TargetError(
-                f"{text[:100]!r} is no order of this station; give its id as it was shown: site/32 digits"
+                f"{text[:100]!r} is not an order of this station; give its id as it was shown: site/32 digits"
             )
         site = site or (sent.site if sent is not None else "")
         try:

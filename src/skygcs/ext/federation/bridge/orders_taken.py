@@ -152,7 +152,7 @@ class OrdersTaken:
         vehicle = vehicle_of_token(token)
         request = None if vehicle is None else decode_request(vehicle, payload, sender)
         if request is None:
-            return self._malformed("this is no order; nothing was carried out")
+            return self._malformed("this is not an order; nothing was carried out")
         now_s = self._clock()
         match self.gate.admit(request, now_s, not_held=self._not_held(request.vehicle)):
             case Begin():

@@ -100,7 +100,7 @@ class FederationProcess:
         """Parts that act under the site's name, while they run."""
 
     async def _status(self, _: dict[str, Any]) -> dict[str, Any]:
-        """This bridge: version, names, the connection to the hub, and the counters of each of its parts."""
+        """This bridge: version, names, the connection to the hub, counters."""
         return self.status()
 
     def status(self) -> dict[str, Any]:

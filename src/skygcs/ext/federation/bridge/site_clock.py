@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 
+from skygcs.config.files import boot_s
+
 
 class SiteClock:
     """`now_s` for everything within the process, `site_s` for what other sites are sent.
 
-    CLOCK_BOOTTIME: a laptop that slept for an hour must not take what it had for new. ``site_s`` is the wall clock when
+    `boot_s`: a laptop that slept for an hour must not take what it had for new. ``site_s`` is the wall clock when
     the process began, and goes on like that: a correction of the wall clock would make every age jump. Sites measure
     the difference of their clocks with pings.
     """
@@ -19,7 +21,7 @@ class SiteClock:
 
     def now_s(self) -> float:
         """Monotonic."""
-        return time.clock_gettime(time.CLOCK_BOOTTIME)
+        return boot_s()
 
     def site_s(self) -> float:
         """Unix seconds."""

@@ -64,16 +64,16 @@ class OtherSite(Result):
 
 
 class SitesResult(Result):
-    """This station, its connection to the hub, and every other site that was heard, by name."""
+    """This station, its connection to the hub, and the other sites: total ages, vehicles, clocks."""
 
     station: str
-    site: str | None = Field(description="null: this station is no site.")
+    site: str | None = Field(description="null: this station is not a site.")
     role: str
     hub: dict[str, Any] = Field(description="connected, text, since_s, round_trip_s and counters.")
     contested: bool = Field(description="Another bridge sends under this site's name.")
     bridge: dict[str, Any] | None = Field(
         description="state of this bridge: asking, active or standby (another one acts as this site), and the other "
-        "bridge of the site if one is heard: state, host, pid. null: this station is no site."
+        "bridge of the site if one is heard: state, host, pid. null: this station is not a site."
     )
     sites: list[OtherSite]
     conflicts: list[dict[str, Any]] = Field(
@@ -111,9 +111,7 @@ class TakeParams(LeaseParams):
     force: bool = Field(
         False, description="Although its holder is busy with it, or its home may go on commanding it without the hub."
     )
-    without_hub: bool = Field(
-        False, description="At its home, with force, while the hub is away: a person knows that no other commands it."
-    )
+    without_hub: bool = Field(False, description="At its home, with force, while the hub is away.")
 
 
 class LeaseStatus(Result):

@@ -126,7 +126,7 @@ class StationView:
                 raise RpcError(LINK_ERROR, f"{site}: {printable(str(found['error']), 300)}")
             state, sent_s = found["state"], found["sent_s"]
             if not isinstance(state, dict) or not isinstance(sent_s, float):
-                raise ValueError("it is no state")
+                raise ValueError("it is not a state")
         except (ValueError, KeyError, TypeError) as error:
             raise RpcError(LINK_ERROR, f"{site} sent a state of {name} that cannot be used ({error})") from None
         now = self._clock.now_s()
@@ -161,9 +161,7 @@ class StationView:
         return list(self._readers.recent)
 
     async def _answer_sites(self, _: dict[str, Any]) -> dict[str, Any]:
-        """This station, its connection to the hub, and the other sites: how old, how many vehicles, how good a clock.
-
-        Ages are total: at the site, and since the batch was sent."""
+        """This station, its connection to the hub, and the other sites: total ages, vehicles, clocks."""
         station, now = self._station, self._clock.now_s()
         return {
             "station": station.name,

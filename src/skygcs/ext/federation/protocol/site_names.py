@@ -124,5 +124,5 @@ def name_of_token(token: str) -> str:
     except ValueError:  # also for text that is no ASCII or no UTF-8
         name = ""
     if not name or subject_token(name) != token:
-        raise ValueError(f"{token[:40]!r} is no vehicle's name")
+        raise ValueError(f"{token[:40]!r} is not a vehicle's name")
     return name

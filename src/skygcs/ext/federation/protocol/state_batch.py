@@ -4,8 +4,8 @@
      "origin":{"lat_deg":…,"lon_deg":…,"alt_amsl_m":…,"x_heading_deg":90.0},"vehicles":[[…],[…]]}
 
 Each vehicle is an array with the fields of `VehicleRow` in their order, which needs half the bytes of an object
-(docs/howto/federation.md has the figures). A later version may append fields and keys; readers ignore them.
-Positions are degrees; velocities and yaw refer to true east and north. The origin is shown to people only.
+(docs/developers/federation-figures.md has the figures). A later version may append fields and keys; readers ignore
+them. Positions are degrees; velocities and yaw refer to true east and north. The origin is shown to people only.
 
 Pure. `decode_batch` checks every value against bounds and refuses the whole batch if one is outside, because
 `row_from_state` never writes one: it replaces values of a vehicle that are out of bounds by null. The same holds for a
@@ -212,7 +212,7 @@ def decode_batch(data: bytes) -> StateBatch:
         raise ValueError("vehicles: two have one name")
     if not all(map(is_vehicle_name, names)):
         bad = next(name for name in names if not is_vehicle_name(name))
-        raise ValueError(f"vehicles: {bad!a} is no vehicle's name")
+        raise ValueError(f"vehicles: {bad!a} is not a vehicle's name")
     if not data.isascii() or b"\\" in data or b"\x7f" in data:  # other JSON has printable texts only
         rows = [_shown(row) for row in rows]
     return StateBatch(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
-from datetime import UTC, date, datetime
+from datetime import date
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from skygcs.cli.connection import Exit, fail, run_offline
+from skygcs.cli.render import plural
 from skygcs.config.files import open_regular
 from skygcs.core.geo import Origin
 from skygcs.core.separation import Footprint
@@ -20,7 +21,7 @@ from skygcs.ext.logs.commands import dialect_named, origin_of
 from skygcs.ext.logs.report.day_figures import DayReport, FileState
 from skygcs.ext.logs.report.gathering import ALL_DAYS, ReportRequest, failures, gather
 from skygcs.ext.logs.report.report_page import MARK, page
-from skygcs.ext.logs.report.report_tables import FigureTable, all_tables
+from skygcs.ext.logs.report.report_tables import FigureTable, all_tables, dates
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.tlog.files import Outputs, make_folder
 
@@ -57,7 +58,7 @@ def report(
     dialect: Annotated[
         str | None, typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite what is no report.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is not a report.")] = False,
 ) -> None:
     """One page of a day: flights, paths, heights, batteries, errors, delays, losses, radios, margins, events.
 
@@ -100,11 +101,11 @@ def write_report(made: DayReport, output: Path, tables: Path | None, *, force: b
             csv.writer(file, lineterminator="\n").writerows(table.csv_rows())
     flights = sum(len(vehicle.flights) for vehicle in made.vehicles)
     other_days = sum(note.state is FileState.OTHER_DAY for note in made.files)
-    text = f"{output}: {len(made.vehicles)} vehicles, {flights} flights"
+    text = f"{output}: {plural(len(made.vehicles), 'vehicle')}, {plural(flights, 'flight')}"
     if math.isfinite(made.begin_s):
-        text += f" of {datetime.fromtimestamp(made.begin_s, UTC):%Y-%m-%d}"
+        text += f" of {dates(made.begin_s, made.end_s)}"
     if other_days:
-        text += f"; {other_days} files of other days are left out (--day)"
+        text += f"; {plural(other_days, 'file')} of other days left out (--day)"
     return text if tables is None else f"{text}; {len(figures)} tables in {tables}"
 
 
@@ -118,7 +119,7 @@ def require_own(path: Path, is_own: Callable[[str], bool]) -> None:
     except OSError as error:
         raise SkygcsError(f"{path}: {error.strerror or error}") from None
     if not is_own(head):
-        raise SkygcsError(f"{path}: exists and is no report; --force overwrites it")
+        raise SkygcsError(f"{path}: exists and is not a report; --force overwrites it")
 
 
 def _is_report(head: str) -> bool:

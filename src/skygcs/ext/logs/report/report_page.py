@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime
 from html import escape
 from typing import Any
 
@@ -22,6 +21,7 @@ from skygcs.ext.logs.report.report_tables import (
     approaches_table,
     clock,
     count,
+    dates,
     delays_table,
     events_table,
     files_table,
@@ -57,7 +57,8 @@ MOST_EVENTS = 400
 
 def page(report: DayReport) -> str:
     """The whole document."""
-    title = f"Field day {_when(report)}" if math.isfinite(report.begin_s) else f"Nothing recorded: {report.title}"
+    recorded = math.isfinite(report.begin_s)
+    title = f"Field day {dates(report.begin_s, report.end_s)}" if recorded else f"Nothing recorded: {report.title}"
     body = [
         f"<header><h1>{shown(title)}</h1><p>{_subtitle(report)}</p></header>",
         _navigation(report),
@@ -146,10 +147,6 @@ def _figure(drawing: str, caption: str) -> str:
 
 
 # -- the day
-
-
-def _when(report: DayReport) -> str:
-    return datetime.fromtimestamp(report.begin_s, UTC).strftime("%Y-%m-%d")
 
 
 def _subtitle(report: DayReport) -> str:

@@ -96,6 +96,12 @@ def clock(unix_s: float | None) -> str:
     return datetime.fromtimestamp(unix_s, UTC).strftime("%H:%M:%S")
 
 
+def dates(begin_s: float, end_s: float) -> str:
+    """The day, UTC, or "2026-04-01 to 2026-04-03"."""
+    first, last = (datetime.fromtimestamp(at_s, UTC).strftime("%Y-%m-%d") for at_s in (begin_s, end_s))
+    return first if first == last else f"{first} to {last}"
+
+
 def span(seconds: float | None) -> str:
     """M:SS, or H:MM:SS from an hour on."""
     if seconds is None or not math.isfinite(seconds):

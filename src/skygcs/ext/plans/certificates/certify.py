@@ -48,7 +48,7 @@ def certify(
     space = space or FlightSpace()
     names = plan.trajectories if isinstance(plan, TimedPlan) else plan.starts
     if both := names.keys() & space.standing.keys():
-        raise RefusedError(f"{min(both)} takes part in the plan and is said to stand")
+        raise RefusedError(f"{min(both)} takes part in the plan and is named as standing, too")
     if isinstance(plan, TimedPlan):
         return _certify_timed(plan, rule, space, limits, progress)
     return _certify_phased(plan, rule, space, progress, barriers=barriers)

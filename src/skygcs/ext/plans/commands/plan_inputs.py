@@ -92,12 +92,13 @@ class FormationOptions:
         typer.Option(
             "--yaw",
             metavar="DEG",
-            help="A shape looks there, points are turned; counter-clockwise from x.",
+            help="A shape faces there, points are turned by it; counter-clockwise from x.",
             parser=finite,
         ),
     ] = 0.0
     scale: Annotated[
-        float, typer.Option("--scale", metavar="FACTOR", help="Times all distances from the middle.", parser=finite)
+        float,
+        typer.Option("--scale", metavar="FACTOR", help="Factor for all distances from the middle.", parser=finite),
     ] = 1.0
 
     @property

@@ -50,7 +50,7 @@ class GuidanceName(StrEnum):
     MISSION = "mission"
 
 
-Force = Annotated[bool, typer.Option("--force", help="Although checks refuse it that can be insisted on.")]
+Force = Annotated[bool, typer.Option("--force", help="Although it is refused by checks that force can override.")]
 File = Annotated[
     Path,
     typer.Argument(

@@ -297,10 +297,14 @@ class Execution:
         self._enter(PlanState.LANDING, "landing: stopping first" if moving else "landing")
         return [Order(OrderKind.STOP_CLOCK)] if moving else []
 
-    def landing(self, rounds: Sequence[Sequence[str]]) -> list[Order]:
-        """The landing is certified: in these rounds, each after the one before is on the ground."""
+    def landing(self, rounds: Sequence[Sequence[str]], others: Sequence[str] = ()) -> list[Order]:
+        """The landing is certified: in these rounds, each after the one before is on the ground. ``others`` are in the
+        air and stay: a pilot flies them, or they are lost."""
         if self.state is not PlanState.LANDING or self._rounds is not None:
             return []
+        if others:
+            text = f"{_named(others)}: flown by a pilot or lost, and not landed; `land` lands one all the same"
+            self._report(text, others[0])
         self._rounds = [tuple(names) for names in rounds if names]
         self._done.clear()
         return self._next_round()

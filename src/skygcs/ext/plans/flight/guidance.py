@@ -9,9 +9,9 @@
     mission     all its legs at once, as a mission; nobody      phased,   its autopilot goes on
                 waits for anybody                               free
 
-``auto`` takes setpoints where every link carries them, else goto for a phased plan. ``onboard`` takes missions where
-no vehicle has a companion. Free: certified without barriers. `GOTO_TUBE_M` is how far an autopilot's own way was from
-the straight leg.
+``auto`` takes companions where every vehicle has one, else setpoints where every link carries them, else goto for a
+phased plan. ``onboard`` takes missions where no vehicle has a companion. Free: certified without barriers.
+`GOTO_TUBE_M` is how far an autopilot's own way was from the straight leg.
 """
 
 from __future__ import annotations

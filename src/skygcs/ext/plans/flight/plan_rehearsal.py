@@ -21,12 +21,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from skygcs.core.control.braking import LossReach, fence_ahead
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.trajectory import ClockState, MotionLimits, path_within
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight, common_clock
-from skygcs.core.vehicle.way_out import LossReach, fence_ahead
 from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep
 from skygcs.ext.plans.flight.plan_states import OrderKind, PlanState

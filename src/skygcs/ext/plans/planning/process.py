@@ -131,7 +131,7 @@ class PlanningProcesses:
         except TimeoutError:
             raise RefusedError(
                 f"planning took longer than {limits.time_s:g} s and was ended: check the plan in parts, in time or by "
-                "groups of vehicles, or on a computer that does less else"
+                "groups of vehicles, or on a less busy computer"
             ) from None
         finally:
             # one that refused may have met the end of its memory

@@ -1,10 +1,10 @@
 // The page: top bar with STOP, banners, the fleet with its panels, other pages, and on phones one pane at a time.
 
-import type { ComponentType } from "preact";
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useMemo, useState } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { FleetCanvas } from "./fleet_canvas.tsx";
-import { useStore } from "./hooks.ts";
+import { useChanges, useStore } from "./hooks.ts";
+import { LateModule } from "./late_module.ts";
 import { OrdersPanel } from "./orders_panel.tsx";
 import { OrderList } from "./order_list.tsx";
 import { PANELS } from "./panels/index.ts";
@@ -30,6 +30,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
     Object.assign(globalThis, { skygcs: { store, connection, view: made } }); // for tests and the benchmark
     return made;
   }, [store, connection]);
+  useLayoutEffect(() => loadPanelsWhenIdle(store, connection), [store, connection]);
   const [page, go] = usePage();
   const shown = useStore(store, (state) => visiblePanels(state).map((panel) => panel.id).join(" "));
   const panels = PANELS.filter((panel) => shown.split(" ").includes(panel.id));
@@ -156,22 +157,46 @@ function SideTab({ id, title, now, open, badge }: { id: string; title: string; n
   );
 }
 
-/** A panel whose module is loaded when it is first shown. */
+type Components = typeof import("./panels/components.ts");
+
+/** For the life of the page: another tab must not begin with "Loading …". */
+const components = new LateModule<Components>(() => import("./panels/components.ts"));
+
+function loadPanels(connection: Connection): void {
+  void components.ask(() => connection.call("web.ping").then(() => true, () => false));
+}
+
+/** Loads them when the page is connected and idle: a link that breaks later leaves them there. What failed is tried again with
+ *  each new connection. */
+function loadPanelsWhenIdle(store: Store, connection: Connection): () => void {
+  return store.onAction((action) => {
+    if (action.type !== "hello") return;
+    const load = (): void => loadPanels(connection);
+    if ("requestIdleCallback" in globalThis) requestIdleCallback(load);
+    else setTimeout(load); // Safari
+  });
+}
+
+/** A panel; the components of all are one module. */
 function LazyPanel({ panel, ...props }: PanelProps & { panel: Panel }) {
-  const [loaded, setLoaded] = useState<{ component: ComponentType<PanelProps> } | null>(null);
-  const [failed, setFailed] = useState(false);
-  const wanted = useRef(panel);
-  wanted.current = panel;
-  useEffect(() => {
-    let here = true;
-    panel.load().then(
-      (module) => here && setLoaded({ component: module.default }),
-      () => here && setFailed(true),
-    );
-    return () => { here = false; };
-  }, [panel]);
-  if (failed) return <p class="note">This part of the page could not be loaded: the ground station was updated or has ended. Reload the page.</p>;
-  if (loaded === null) return <p class="note">Loading …</p>;
-  const Component = loaded.component;
-  return <Component {...props} />;
+  const { connection } = props;
+  useChanges(components);
+  useEffect(() => loadPanels(connection), [connection]);
+  const { loaded, trouble } = components;
+  if (loaded !== null) {
+    const Component = loaded[panel.id];
+    return <Component {...props} />;
+  }
+  if (trouble === null) return <p class="note">Loading …</p>;
+  return (
+    <div class="note" role="alert">
+      <p>
+        This part of the page could not be loaded
+        {trouble === "refused"
+          ? ": the ground station has another version of the page by now. Reload the page."
+          : ". It is tried again with the next connection; do not reload the page before, it would be gone with its STOP."}
+      </p>
+      <button type="button" onClick={() => loadPanels(connection)}>Try again</button>
+    </div>
+  );
 }

@@ -9,14 +9,15 @@ import { beginInput } from "./view/input.ts";
 
 export function FleetCanvas({ store, connection, view }: PanelProps) {
   const canvas = useRef<HTMLCanvasElement>(null);
+  const ground = useRef<HTMLCanvasElement>(null);
   const readout = useRef<HTMLOutputElement>(null);
   const band = useRef<HTMLDivElement>(null);
   useChanges(view);
   useEffect(() => beginPlannedPaths(store, connection, view), [store, connection, view]);
   useEffect(() => {
     const element = canvas.current;
-    if (element === null) return;
-    const detach = view.attach(element);
+    if (element === null || ground.current === null) return;
+    const detach = view.attach(element, ground.current);
     view.buttons = () => {
       const { left, top } = element.getBoundingClientRect();
       return [...(element.parentElement?.querySelectorAll(".viewbuttons > .group") ?? [])].map((group) => {
@@ -35,6 +36,7 @@ export function FleetCanvas({ store, connection, view }: PanelProps) {
   }, [view, store]);
   return (
     <div class="canvasbox">
+      <canvas ref={ground} aria-hidden="true" />
       <canvas ref={canvas} tabIndex={0} role="img"
         aria-label="Fleet view: arrows move it, plus and minus zoom, F shows all, C follows the selected vehicles. The table has the same vehicles as text." />
       <div ref={band} class="band" hidden />

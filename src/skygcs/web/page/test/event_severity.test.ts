@@ -22,6 +22,22 @@ test("what needs a person is an alarm", () => {
   assert.equal(severityOf(event("unheard_of_kind"), null), "info");
 });
 
+test("what a daemon's alarm is for has its severity here, and its end has none", () => {
+  assert.equal(severityOf(event("recorder", { recording: false, error: "No space left on device" }), null), "alarm");
+  assert.equal(severityOf(event("recorder", { recording: true, lost: 12, seconds: 5 }), null), "warning");
+  assert.equal(severityOf(event("recorder", { recording: true, lost: 0, seconds: 5 }), null), "info");
+  assert.equal(severityOf(event("duplicate", { change: "duplicate" }), false), "alarm");
+  assert.equal(severityOf(event("duplicate", { change: "duplicate_over" }), true), "info");
+  assert.equal(severityOf(event("fence", { outside: true }), true), "alarm");
+  assert.equal(severityOf(event("fence", { outside: true }), false), "warning");
+  assert.equal(severityOf(event("fence", { outside: false }), true), "info");
+  assert.equal(severityOf(event("fence", { order: "set" }), true), "info");
+  assert.equal(severityOf(event("ground_lost"), true), "alarm");
+  assert.equal(severityOf(event("command", { order: "stop", ok: false, result: "timeout" }), true), "alarm");
+  assert.equal(severityOf(event("command", { order: "stop", ok: false, result: "cancelled" }), true), "warning");
+  assert.equal(severityOf(event("statustext", { level: 1 }, "Crash: Disarming"), false), "warning");
+});
+
 test("a status text is as serious as its level, but a refusal to arm wakes nobody", () => {
   assert.equal(severityOf(event("statustext", { level: 1 }, "Crash: Disarming"), true), "alarm");
   assert.equal(severityOf(event("statustext", { level: 2 }, "PreArm: Compass not calibrated"), false), "warning");

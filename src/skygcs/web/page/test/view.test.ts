@@ -173,6 +173,15 @@ test("a moving vehicle is carried on between two reports, not through a silence"
   assert.equal(silent.acrossMps, 0);
 });
 
+test("vehicles that move with their reports only are known as such", () => {
+  const known = vehicle("a", 1, { position: position(0, 0, 10, { age_s: 0 }) });
+  const unknown = vehicle("b", 2, { position: position(0, 0, 10, { vel_world_mps: null, vel_enu_mps: null }) });
+  assert.equal(scene([known]).scene.jumps, false);
+  assert.equal(scene([known], 0, false).scene.jumps, true);
+  assert.equal(scene([known, unknown]).scene.jumps, true);
+  assert.equal(scene([known, unknown], 60_000).scene.jumps, false);
+});
+
 test("the label of a vehicle that is not heard says so instead of its last height", () => {
   const { state, scene: seen } = scene([vehicle("a", 1)], 12_000);
   const [body] = seen.bodies;

@@ -9,6 +9,7 @@ import pytest
 
 from skygcs.errors import ConfigError
 from skygcs.ext.companions.bring_up.host_keys import HostKeys, fingerprint, refusal
+from support.table import each
 
 HOST, PORT = "10.0.0.7", 2222
 
@@ -73,7 +74,7 @@ def test_a_revoked_key_stays_revoked(tmp_path: Path) -> None:
     assert "revoked" in str(refusal(known, key, "alpha", "place"))
 
 
-@pytest.mark.parametrize("data", [b"nonsense\n", b"@what host ssh-ed25519 AAAA\n", b"\xff\xfe", b"x" * (5 << 20)])
+@each("data", [b"nonsense\n", b"@what host ssh-ed25519 AAAA\n", b"\xff\xfe", b"x" * (5 << 20)])
 def test_a_file_that_is_none_is_refused_by_name(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "known_hosts").write_bytes(data)
     with pytest.raises(ConfigError, match="known_hosts"):

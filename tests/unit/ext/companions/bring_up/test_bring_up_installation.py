@@ -20,6 +20,7 @@ from skygcs.ext.companions.bring_up.installation import InstallationWishes, inst
 from skygcs.ext.companions.bring_up.side_by_side import Progress
 from skygcs.ext.companions.identity import make_identity
 from support.fake_companion import ARMED, FakeSession, companion
+from support.table import each
 
 CONFIG = """
 [companion]
@@ -118,10 +119,7 @@ async def test_nothing_is_done_while_its_vehicle_is_armed(field: Field) -> None:
 @pytest.mark.parametrize(
     ("facts", "words"),
     [
-        (
-            {"machine": "x86_64"},
-            "the bundle is for aarch64, this computer is x86_64; skygcs-cli companions",
-        ),
+        ({"machine": "x86_64"}, "the bundle is for aarch64, this computer is x86_64; skygcs-cli companions"),
         ({"machine": "aarch64", "bits": "32"}, "this computer is armv7l"),
         ({"python": "3.12"}, "this computer has 3.12; skygcs-cli companions bundle --python 3.12"),
         ({"python": ""}, "this computer has none"),
@@ -194,7 +192,7 @@ def test_the_file_for_all_is_filled_in_and_one_of_its_own_comes_before_it(tmp_pa
     assert (found.source, found.key_dir("/home/pi", "/x")) == (own, "/home/pi/k")
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         (None, "there is no"),
@@ -239,7 +237,7 @@ def test_a_bundle_is_read(tmp_path: Path) -> None:
     assert found.identifier.startswith("0.1.0-") and found.needed_bytes == 2 * found.bytes + 1
 
 
-@pytest.mark.parametrize(
+@each(
     "files",
     [
         {},
@@ -265,7 +263,7 @@ def test_what_is_no_bundle_or_was_changed_is_refused(tmp_path: Path, files: dict
 def test_a_file_that_is_no_tar_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "b.tar"
     path.write_bytes(b"PK" * 1000)
-    with pytest.raises(SkygcsError, match="is no bundle"):
+    with pytest.raises(SkygcsError, match="is not a bundle"):
         read_bundle(path)
     with pytest.raises(SkygcsError, match="No such file"):
         read_bundle(tmp_path / "none.tar")

@@ -8,6 +8,7 @@ from skygcs.errors import CompanionError
 from skygcs.ext.companions.bring_up import service_control
 from skygcs.ext.companions.bring_up.probe import CompanionFacts, probe
 from support.fake_companion import ARMED, FakeSession
+from support.table import each
 
 
 async def running(session: FakeSession, **facts: str) -> CompanionFacts:
@@ -19,7 +20,7 @@ UNKNOWN = '[{"name": "alpha"}]'
 FLYING = '[{"name": "alpha", "armed": false, "landed": "in_air"}]'
 
 
-@pytest.mark.parametrize("there", [ARMED, UNKNOWN, FLYING])
+@each("there", [ARMED, UNKNOWN, FLYING])
 async def test_the_service_of_an_active_vehicle_is_not_stopped(there: str) -> None:
     session = FakeSession()
     session.answer("status", 0, there)
@@ -32,7 +33,7 @@ async def test_the_service_of_an_active_vehicle_is_not_stopped(there: str) -> No
     assert session.ran("systemctl --user stop skygcs")
 
 
-@pytest.mark.parametrize("answer", [(3, "", "no daemon"), (0, "not JSON", ""), (0, "{}", "")])
+@each("answer", [(3, "", "no daemon"), (0, "not JSON", ""), (0, "{}", "")])
 async def test_a_vehicle_whose_state_is_not_known_counts_as_active(answer: tuple[int, str, str]) -> None:
     session = FakeSession()
     session.answer("status", *answer)

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from skygcs.ext.federation.bridge.bus import Bus, BusOptions
+from support.table import each
 
 
-@pytest.mark.parametrize("then", ["connected", "failed"])
+@each("then", ["connected", "failed"])
 async def test_a_cancellation_that_is_lost_while_it_connects_ends_it(
     monkeypatch: pytest.MonkeyPatch, then: str
 ) -> None:

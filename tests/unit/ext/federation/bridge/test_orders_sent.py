@@ -68,8 +68,12 @@ class South:
         return (await self.sent.order("vehicles.land", {}, [ALPHA], "mia"))["south/alpha"]
 
 
-async def test_an_order_has_its_deadline_on_the_sites_clock_and_who_gave_it() -> None:
-    south = South()
+@pytest.fixture
+async def south() -> South:
+    return South()
+
+
+async def test_an_order_has_its_deadline_on_the_sites_clock_and_who_gave_it(south: South) -> None:
     outcome = await south.land()
     assert {**DONE, "id": outcome["id"]} == outcome
     (came,) = south.came
@@ -80,8 +84,7 @@ async def test_an_order_has_its_deadline_on_the_sites_clock_and_who_gave_it() ->
     assert [c["seq"] for c in south.came] == [1, 2] and south.came[0]["id"] != south.came[1]["id"]
 
 
-async def test_without_an_answer_it_is_unknown_after_its_deadline_and_not_sent_again() -> None:
-    south = South()
+async def test_without_an_answer_it_is_unknown_after_its_deadline_and_not_sent_again(south: South) -> None:
     south.on_order = lambda _: None
     outcome = await south.land()
     assert outcome["result"] == "unknown" and south.loop.time() == pytest.approx(FIRST_ANSWER_S, abs=0.02)
@@ -95,8 +98,7 @@ async def test_without_an_answer_it_is_unknown_after_its_deadline_and_not_sent_a
     assert len(south.came) == 1
 
 
-async def test_a_site_that_answers_no_ping_gets_no_order_but_a_stop() -> None:
-    south = South()
+async def test_a_site_that_answers_no_ping_gets_no_order_but_a_stop(south: South) -> None:
     south.silent_clock = True
     outcome = await south.land()
     assert outcome["result"] == "refused" and "nothing was sent" in outcome["message"] and south.came == []
@@ -113,8 +115,7 @@ async def test_a_site_that_answers_no_ping_gets_no_order_but_a_stop() -> None:
 
 
 @pytest.mark.parametrize("silent", [False, True])
-async def test_after_this_computer_has_slept_no_order_is_late(silent: bool) -> None:
-    south = South()
+async def test_after_this_computer_has_slept_no_order_is_late(south: South, silent: bool) -> None:
     await south.land()
     south.slept_s += 30.0
     south.silent_clock = silent
@@ -127,8 +128,7 @@ async def test_after_this_computer_has_slept_no_order_is_late(silent: bool) -> N
     assert south.came[-1]["deadline_s"] == pytest.approx(began_s + FIRST_ANSWER_S, abs=0.05)
 
 
-async def test_what_runs_is_asked_for_until_it_has_ended() -> None:
-    south = South()
+async def test_what_runs_is_asked_for_until_it_has_ended(south: South) -> None:
     south.on_order = lambda _: {"status": "running"}
     south.on_question = lambda _: (
         {"status": "done", "outcome": DONE} if south.loop.time() > 5.0 else {"status": "running"}
@@ -136,8 +136,7 @@ async def test_what_runs_is_asked_for_until_it_has_ended() -> None:
     assert (await south.land())["ok"] and 5.0 < south.loop.time() < 6.0
 
 
-async def test_what_runs_at_a_site_that_is_not_heard_any_more_is_unknown() -> None:
-    south = South()
+async def test_what_runs_at_a_site_that_is_not_heard_any_more_is_unknown(south: South) -> None:
     south.on_order = lambda _: {"status": "running"}
     south.on_question = lambda _: None
     outcome = await south.land()
@@ -145,8 +144,7 @@ async def test_what_runs_at_a_site_that_is_not_heard_any_more_is_unknown() -> No
     assert len(south.came) == 1
 
 
-async def test_hundreds_of_orders_do_not_flood_the_site_with_questions() -> None:
-    south = South()
+async def test_hundreds_of_orders_do_not_flood_the_site_with_questions(south: South) -> None:
     south.on_order = lambda _: {"status": "running"}
     south.on_question = lambda _: (
         {"status": "done", "outcome": DONE} if south.loop.time() > 20.0 else {"status": "running"}
@@ -157,8 +155,7 @@ async def test_hundreds_of_orders_do_not_flood_the_site_with_questions() -> None
     assert len(south.asked_at) / 20.0 < 400
 
 
-async def test_answers_that_cannot_be_read_are_unknown() -> None:
-    south = South()
+async def test_answers_that_cannot_be_read_are_unknown(south: South) -> None:
     for answer in ({"status": "fine"}, {"status": "done", "outcome": {"ok": 1}}, {"status": "done", "id": "0" * 32}):
         south.on_order = lambda _, answer=answer: answer  # type: ignore[misc]
         assert (await south.land())["result"] == "unknown"
@@ -175,8 +172,7 @@ async def test_what_an_observer_may_not_and_ids_that_are_none() -> None:
 
 
 @pytest.mark.parametrize("site_s", ["1" + 400 * "0", "1e999", "-1e300", "true", '"noon"', "[1]"])
-async def test_a_site_whose_clock_is_nonsense_keeps_no_stop_from_the_others(site_s: str) -> None:
-    south = South()
+async def test_a_site_whose_clock_is_nonsense_keeps_no_stop_from_the_others(south: South, site_s: str) -> None:
     liar = MemoryBus(south.hub, south.loop)
 
     async def answer(subject: str, payload: bytes) -> bytes:
@@ -190,8 +186,7 @@ async def test_a_site_whose_clock_is_nonsense_keeps_no_stop_from_the_others(site
     assert not stopped["east/bravo"]["ok"]
 
 
-async def test_what_another_site_writes_cannot_move_the_cursor_of_a_terminal() -> None:
-    south = South()
+async def test_what_another_site_writes_cannot_move_the_cursor_of_a_terminal(south: South) -> None:
     hostile = {**DONE, "message": "\x1b[2Jfine", "status_texts": ["\x1b]0;x\x07"] * 30}
     south.on_order = lambda _: {"status": "done", "outcome": hostile}
     outcome = await south.land()

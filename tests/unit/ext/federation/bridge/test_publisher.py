@@ -246,7 +246,7 @@ async def test_a_whole_state_is_given_of_shared_vehicles_and_to_few_at_a_time() 
         answer = await made.bus.ask(pattern, "state.north.full.alpha")
         assert answer["state"] == {"name": "alpha", "asked": "alpha"} and answer["sent_s"] > 1e9
         assert "shares no vehicle 'bravo'" in (await made.bus.ask(pattern, "state.north.full.bravo"))["error"]
-        assert "is no vehicle's name" in (await made.bus.ask(pattern, "state.north.full.=zz"))["error"]
+        assert "is not a vehicle's name" in (await made.bus.ask(pattern, "state.north.full.=zz"))["error"]
         made.link.whole = RpcError(-32001, "no vehicle 'alpha'")
         assert (await made.bus.ask(pattern, "state.north.full.alpha"))["error"] == "no vehicle 'alpha'"
         made.link.whole = None  # it does not answer

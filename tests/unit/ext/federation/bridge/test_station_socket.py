@@ -358,10 +358,7 @@ async def test_when_all_places_are_taken_flights_can_be_ended_and_an_idle_client
             assert "places" in (await third.ask(request("vehicles.arm", targets="alpha")))["error"]["message"]
             assert (await third.ask(request("vehicles.land", targets="alpha,south/bravo")))["result"][
                 "outcomes"
-            ].keys() == {
-                "alpha",
-                "south/bravo",
-            }
+            ].keys() == {"alpha", "south/bravo"}
             assert "places" in (await fourth.next())["error"]["message"]
         await until(lambda: len(here.socket.clients) == 2, "those beyond are gone")
         oldest = next(iter(here.socket.clients))

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.ext.federation.protocol.fair_share import FairShare
+from support.table import each
 
 
 def fill(pool: FairShare, *senders: str) -> None:
@@ -17,8 +18,8 @@ def fill(pool: FairShare, *senders: str) -> None:
                 pool.take(sender)
 
 
-@pytest.mark.parametrize("factor", [1.0, 4.0])
-@pytest.mark.parametrize("greedy", [1, 2, 5])
+@each("factor", [1.0, 4.0])
+@each("greedy", [1, 2, 5])
 def test_greedy_senders_leave_places_for_one_that_comes_later(factor: float, greedy: int) -> None:
     pool = FairShare(1000, factor)
     senders = [f"s{n}" for n in range(greedy)]

@@ -50,8 +50,12 @@ def status(decision: Decision) -> str:
     return decision.reply.status
 
 
-def test_a_known_order_is_never_carried_out_again() -> None:
-    gate = OrderGate("north", NOW)
+@pytest.fixture
+def gate() -> OrderGate:
+    return OrderGate("north", NOW)
+
+
+def test_a_known_order_is_never_carried_out_again(gate: OrderGate) -> None:
     assert isinstance(gate.admit(order(), NOW), Begin)
     running = gate.admit(order(), NOW)
     assert isinstance(running, Repeated) and running.reply.status == "running"
@@ -84,21 +88,18 @@ def test_what_is_refused(request_: OrderRequest, not_held: str | None, expected:
     assert gate.admit(order(), NOW) == Repeated(refused.reply)
 
 
-def test_a_stop_needs_no_lease_and_may_be_late() -> None:
-    gate = OrderGate("north", NOW)
+def test_a_stop_needs_no_lease_and_may_be_late(gate: OrderGate) -> None:
     late_stop = order(method=STOP, deadline_s=NOW - STOP_LATE_S)
     assert isinstance(gate.admit(late_stop, NOW, not_held="south commands it"), Begin)
 
 
-def test_what_was_asked_for_before_it_came_never_comes() -> None:
-    gate = OrderGate("north", NOW)
+def test_what_was_asked_for_before_it_came_never_comes(gate: OrderGate) -> None:
     assert gate.asked(OutcomeQuestion(key(1)), NOW).status == "never came"
     refused = gate.admit(order(), NOW)
     assert isinstance(refused, Repeated) and refused.reply.status == "refused"
 
 
-def test_an_order_does_not_overtake_a_newer_one_of_its_station() -> None:
-    gate = OrderGate("north", NOW)
+def test_an_order_does_not_overtake_a_newer_one_of_its_station(gate: OrderGate) -> None:
     assert isinstance(gate.admit(order(2, method="vehicles.hold", run="r", seq=2), NOW), Begin)
     assert status(gate.admit(order(1, method="vehicles.goto", run="r", seq=1), NOW)) == "refused"
     assert isinstance(gate.admit(order(3, run="other", seq=1), NOW), Begin)
@@ -106,8 +107,7 @@ def test_an_order_does_not_overtake_a_newer_one_of_its_station() -> None:
     assert isinstance(gate.admit(order(5, method=STOP, run="r", seq=1), NOW), Begin)
 
 
-def test_orders_that_end_a_flight_have_places_of_their_own() -> None:
-    gate = OrderGate("north", NOW)
+def test_orders_that_end_a_flight_have_places_of_their_own(gate: OrderGate) -> None:
     for number in range(MAX_RUNNING * 4 // 5):
         assert isinstance(gate.admit(order(number, method="vehicles.goto"), NOW), Begin)
     assert status(gate.admit(order(MAX_RUNNING, method="vehicles.goto"), NOW)) == "refused"
@@ -116,8 +116,7 @@ def test_orders_that_end_a_flight_have_places_of_their_own() -> None:
     assert isinstance(gate.admit(order(MAX_RUNNING + 2, method="vehicles.goto"), NOW), Begin)
 
 
-def test_no_flood_of_other_orders_and_questions_keeps_a_stop_out() -> None:
-    gate = OrderGate("north", NOW)
+def test_no_flood_of_other_orders_and_questions_keeps_a_stop_out(gate: OrderGate) -> None:
     for number in range(MAX_ENDING * 4 // 5):
         assert isinstance(gate.admit(order(number, method="vehicles.land"), NOW), Begin)
     assert status(gate.admit(order(MAX_ENDING, method="vehicles.rtl"), NOW)) == "refused"
@@ -130,8 +129,7 @@ def test_no_flood_of_other_orders_and_questions_keeps_a_stop_out() -> None:
     assert isinstance(gate.admit(order(2 * MAX_KEYS + MAX_STOPS + 1, method=STOP), NOW), Begin)
 
 
-def test_a_full_table_forgets_nothing_that_may_still_come() -> None:
-    gate = OrderGate("north", NOW)
+def test_a_full_table_forgets_nothing_that_may_still_come(gate: OrderGate) -> None:
     for number in range(MAX_KEYS):
         gate.admit(order(number, role="observer"), NOW)
     assert len(gate) == MAX_KEYS * 4 // 5
@@ -148,17 +146,15 @@ def test_a_full_table_forgets_nothing_that_may_still_come() -> None:
     assert len(gate) <= MAX_KEYS + STOP_KEYS
 
 
-def test_stops_have_a_bound_as_well() -> None:
-    gate = OrderGate("north", NOW)
+def test_stops_have_a_bound_as_well(gate: OrderGate) -> None:
     for number in range(2 * MAX_KEYS):
         gate.admit(order(number, method=STOP), NOW)
         gate.ended(OrderReply(key(number), "done", ""), NOW)
     assert len(gate) == STOP_KEYS // 2
 
 
-def test_no_station_keeps_the_stops_of_another_out() -> None:
+def test_no_station_keeps_the_stops_of_another_out(gate: OrderGate) -> None:
     """Nor do two of them: 3,000 stops a second of each, none of which ends, and other orders and questions as well."""
-    gate = OrderGate("north", NOW)
     number = 0
     for station in range(2):
         for method in (STOP, "vehicles.land", "vehicles.goto"):
@@ -172,8 +168,7 @@ def test_no_station_keeps_the_stops_of_another_out() -> None:
     assert len(gate) <= MAX_KEYS + STOP_KEYS
 
 
-def test_outcomes_are_forgotten_after_an_hour_and_the_site_says_so() -> None:
-    gate = OrderGate("north", NOW)
+def test_outcomes_are_forgotten_after_an_hour_and_the_site_says_so(gate: OrderGate) -> None:
     gate.admit(order(), NOW)
     gate.ended(done(), NOW)
     gate.admit(order(2, deadline_s=NOW + KEEP_S), NOW + KEEP_S)
@@ -181,8 +176,7 @@ def test_outcomes_are_forgotten_after_an_hour_and_the_site_says_so() -> None:
     assert gate.asked(OutcomeQuestion(key(7), deadline_s=NOW + 2 * KEEP_S), NOW + 2 * KEEP_S).status == "never came"
 
 
-def test_keys_and_their_order_outlive_a_restart() -> None:
-    gate = OrderGate("north", NOW)
+def test_keys_and_their_order_outlive_a_restart(gate: OrderGate) -> None:
     running = OrderReply(key(1), "running", "")
     numbered = [
         Remembered(running, NOW, NOW, "alpha", "r", 5),
@@ -241,8 +235,7 @@ def test_copies_at_any_time_are_carried_out_once(seed: int) -> None:
         assert all(count == 1 for count in carried.values())
 
 
-def test_a_station_cannot_overtake_the_orders_of_another_by_the_name_of_its_run() -> None:
-    gate = OrderGate("north", NOW)
+def test_a_station_cannot_overtake_the_orders_of_another_by_the_name_of_its_run(gate: OrderGate) -> None:
     hostile = order(1, run="run of mia", seq=1 << 53, sender="key of eve")
     assert isinstance(gate.admit(hostile, NOW), Begin)
     mine = order(2, run="run of mia", seq=7, sender="key of mia")
@@ -276,8 +269,7 @@ def test_a_deadline_may_be_as_far_ahead_as_clocks_differ_and_an_order_as_late_as
     assert isinstance(gate.admit(order(2, deadline_s=NOW + 1.125), NOW), Begin)
 
 
-def test_only_a_lower_number_of_the_same_series_is_overtaken() -> None:
-    gate = OrderGate("north", NOW)
+def test_only_a_lower_number_of_the_same_series_is_overtaken(gate: OrderGate) -> None:
     assert isinstance(gate.admit(order(1, run="r", seq=2), NOW), Begin)
     for number, seq, begins in ((2, 1, False), (3, 2, True), (4, 0, True), (5, 3, True), (6, 2, False)):
         assert isinstance(gate.admit(order(number, run="r", seq=seq), NOW), Begin) is begins, seq
@@ -294,8 +286,7 @@ def test_numbers_of_the_series_that_were_noted_last_are_kept() -> None:
     assert kept == [1, 0, 3, 5, 0]
 
 
-def test_every_decision_is_counted() -> None:
-    gate = OrderGate("north", NOW)
+def test_every_decision_is_counted(gate: OrderGate) -> None:
     gate.admit(order(1), NOW)
     gate.admit(order(1), NOW)
     gate.admit(order(2, deadline_s=NOW - 1.0), NOW)
@@ -311,8 +302,7 @@ def test_every_decision_is_counted() -> None:
     assert gate.counters == counted | {"refused": 2, "forgotten": 3}
 
 
-def test_an_outcome_is_kept_for_an_hour_from_its_end_and_what_runs_for_as_long_as_it_does() -> None:
-    gate = OrderGate("north", NOW)
+def test_an_outcome_is_kept_for_an_hour_from_its_end_and_what_runs_for_as_long_as_it_does(gate: OrderGate) -> None:
     gate.admit(order(1), NOW)
     gate.ended(done(1), NOW + 2.0)
     gate.admit(order(2, deadline_s=NOW + KEEP_S + 1.5, role="observer"), NOW + KEEP_S + 1.5)

@@ -165,9 +165,7 @@ def test_sites_are_bounded_and_the_one_that_was_silent_for_an_hour_makes_room() 
 
 
 @given(st.lists(st.tuples(st.floats(0, 5), st.floats(0, 3), st.floats(0, 0.4)), min_size=1, max_size=20))
-def test_no_order_of_arrival_makes_a_state_look_younger_than_it_is(
-    packets: list[tuple[float, float, float]],
-) -> None:
+def test_no_order_of_arrival_makes_a_state_look_younger_than_it_is(packets: list[tuple[float, float, float]]) -> None:
     """Packets of (sent at, time on the way, way back of a ping): the age shown is at least the true one less the
     comparison's error, and what is shown as connected was sent in the last second or so."""
     sites = RemoteSites("north", "mine")

@@ -23,6 +23,7 @@ from support.flight_log import ARMED, DISARMED, ORIGIN, T0_US, FlightLog
 from support.frames import frame, heartbeat, offline
 from support.public_data import CAPTURE, own_capture, present, public_file
 from support.pymav_log import records
+from support.table import each
 
 ARDUPILOT, PX4 = 3, 12
 ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
@@ -220,7 +221,7 @@ def crossing(closest_m: float, speed_mps: float = 5.0) -> list[tuple[float, byte
     return records
 
 
-@pytest.mark.parametrize("closest_m", [1.0, 6.0])
+@each("closest_m", [1.0, 6.0])
 def test_the_closest_approach_is_that_of_the_geometry(closest_m: float) -> None:
     """Oracle: the ways themselves, every millisecond."""
     half = closest_m / math.sqrt(2)
@@ -284,7 +285,7 @@ def independent_delays(content: bytes) -> dict[tuple[int, int], list[float]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["sitl-3ardupilot-2px4", "copter-radio-flight", "px4-mission-flight"])
+@each("name", ["sitl-3ardupilot-2px4", "copter-radio-flight", "px4-mission-flight"])
 def test_delays_are_those_of_an_independent_pairing(name: str) -> None:
     content = own_capture(name)
     oracle = independent_delays(content)
@@ -317,7 +318,7 @@ def test_a_repeated_command_counts_once_and_from_its_first_sending() -> None:
 
 
 @pytest.mark.deep
-@pytest.mark.parametrize("name", present("tlog", RADIO_LOGS))
+@each("name", present("tlog", RADIO_LOGS))
 def test_radios_are_what_pymavlink_reads(name: str) -> None:
     content = public_file(f"tlog/{name}").read_bytes()
     values: dict[str, list[int]] = defaultdict(list)
@@ -352,7 +353,7 @@ def sources_of(report: DayReport) -> dict[str, int]:
     return {f"{s.sysid}/{s.compid}": s.frames for s in every}
 
 
-@pytest.mark.parametrize("name", ["sitl-3ardupilot-2px4", "copter-companion", "px4-late-frames"])
+@each("name", ["sitl-3ardupilot-2px4", "copter-companion", "px4-late-frames"])
 def test_frames_per_source_are_those_that_pymavlink_reads(name: str) -> None:
     counts: dict[str, int] = defaultdict(int)
     for record in records(own_capture(name)):

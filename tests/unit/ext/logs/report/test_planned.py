@@ -17,10 +17,7 @@ def report(*systems: int) -> DayReport:
 def test_a_phased_plan_flies_from_corner_to_corner() -> None:
     phases = (Phase("up", {"a": (0.0, 0.0, 9.0)}), Phase("out", {"a": (5.0, 0.0, 9.0), "b": (1.0, 1.0, 3.0)}))
     paths = planned_paths(PhasedPlan({"a": (0.0, 0.0, 0.0), "b": (1.0, 1.0, 0.0)}, phases))
-    assert paths == {
-        "a": [(0.0, 0.0, 0.0), (0.0, 0.0, 9.0), (5.0, 0.0, 9.0)],
-        "b": [(1.0, 1.0, 0.0), (1.0, 1.0, 3.0)],
-    }
+    assert paths == {"a": [(0.0, 0.0, 0.0), (0.0, 0.0, 9.0), (5.0, 0.0, 9.0)], "b": [(1.0, 1.0, 0.0), (1.0, 1.0, 3.0)]}
 
 
 def test_a_timed_plan_is_sampled_from_begin_to_end() -> None:

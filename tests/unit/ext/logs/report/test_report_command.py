@@ -8,22 +8,24 @@ import os
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from skygcs.cli.main import app
+from support.command_line import ran
 from support.examples import examples, thinned
 from support.flight_log import T0_US, FlightLog
 from support.flown_trace import flown_trace
 from support.frames import frame, heartbeat
 from support.public_data import CAPTURE, captures, own_capture, public_file, vehicles_of
 from support.pymav_log import records
+from support.table import each
 
 COSTS = "a page and ten tables are written for each folder"
 
@@ -68,11 +70,7 @@ class Page(HTMLParser):
         return " ".join(self.words)
 
 
-def run(*args: str | Path, code: int = DONE) -> Result:
-    result = CliRunner().invoke(app, ["report", *map(str, args)])
-    assert result.exit_code == code, result.output + repr(result.exception)
-    assert "Traceback" not in result.output
-    return result
+run = partial(ran, "report")
 
 
 def page_of(folder: Path, *args: str | Path, code: int = DONE) -> Page:
@@ -304,7 +302,7 @@ def test_the_newest_day_is_reported_and_others_are_offered(day: Path) -> None:
     assert "of 2026-05-28: --day 2026-05-28 reports it" in newest.text
     assert "Field day 2026-05-28" in page_of(day, "--day", "2026-05-28").text
     out = day.parent / "all.html"
-    assert "4 flights" in run(day, "-o", out, "--day", "all").stdout
+    assert "4 flights of 2026-05-28 to 2026-05-29" in run(day, "-o", out, "--day", "all").stdout
     assert "no tlog was read" in run(day, "-o", out, "--day", "2001-01-01", code=FAILED).stderr
 
 
@@ -314,14 +312,14 @@ def test_the_newest_day_is_reported_and_others_are_offered(day: Path) -> None:
 def test_only_a_report_is_overwritten(day: Path, tmp_path: Path) -> None:
     out, tables = tmp_path / "day.html", tmp_path / "csv"
     out.write_text("<html>mine</html>")
-    assert "exists and is no report; --force" in run(day, "-o", out, code=FAILED).stderr
+    assert "exists and is not a report; --force" in run(day, "-o", out, code=FAILED).stderr
     assert out.read_text() == "<html>mine</html>"
     run(day, "-o", out, "--force")
     run(day, "-o", out, "--csv", tables)
     (tables / "events.csv").write_text("mine")
     before = out.read_bytes()
     (day / "more.tlog").write_bytes(shifted((day / "20260528T202640Z-0001.tlog").read_bytes(), int(600e6)))
-    assert "events.csv: exists and is no report" in run(day, "-o", out, "--csv", tables, code=FAILED).stderr
+    assert "events.csv: exists and is not a report" in run(day, "-o", out, "--csv", tables, code=FAILED).stderr
     assert (out.read_bytes(), (tables / "events.csv").read_text()) == (before, "mine")
     run(day, "-o", out, "--csv", tables, "--force")
     assert table(tables, "events") and out.read_bytes() != before
@@ -353,7 +351,7 @@ def test_texts_of_vehicles_are_text(day: Path, tmp_path: Path) -> None:
     assert evil in texts and "'=HYPERLINK(1)" in texts  # no formula in a spreadsheet
 
 
-@pytest.mark.parametrize("name", thinned(captures("tlog"), 3, turn=3))
+@each("name", thinned(captures("tlog"), 3, turn=3))
 def test_every_log_has_a_report(name: str, tmp_path: Path) -> None:
     folder = make(tmp_path / "logs")
     (folder / name).symlink_to(public_file(f"tlog/{name}"))

@@ -16,6 +16,7 @@ from skygcs.core.trajectory import MotionLimits, require_within
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.certificates.plan_search import Task, make_plan
 from support.examples import examples
+from support.table import each
 
 RULE = MarginRule(fixed_m=2.5)
 LIMITS = MotionLimits()
@@ -104,7 +105,7 @@ def test_a_search_that_fails_says_what_was_tried_and_why() -> None:
     assert "has none left of 2 layers 5.00 m apart, in any number of rounds" in layers
 
 
-@pytest.mark.parametrize("which", ["starts", "goals"])
+@each("which", ["starts", "goals"])
 def test_starts_or_goals_that_are_too_close_are_named_at_once(which: str) -> None:
     apart, near = [(0.0, 0.0, 10.0), (10.0, 0.0, 10.0)], [(0.0, 0.0, 10.0), (2.0, 0.0, 10.0)]
     pair = (near, apart) if which == "starts" else (apart, near)

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from skygcs.cli.main import app
+from support.table import each
 
 GOALS = """vehicle,x,y,z
 alpha,0,0,10
@@ -64,7 +65,7 @@ def test_what_a_file_says_of_itself_is_not_believed(goals: str, tmp_path: Path) 
     assert "alpha and bravo come within 0.000 m in phase cross" in refused.output
 
 
-@pytest.mark.parametrize(("beside", "code"), [("2.499", 1), ("2.501", 0)])
+@each(("beside", "code"), [("2.499", 1), ("2.501", 0)])
 def test_a_path_file_is_certified_to_the_millimetre(beside: str, code: int, tmp_path: Path) -> None:
     path = tmp_path / "paths.csv"
     path.write_text(PASSING.format(beside))
@@ -73,7 +74,7 @@ def test_a_path_file_is_certified_to_the_millimetre(beside: str, code: int, tmp_
     assert f"alpha and bravo come within {beside} m at 5.00 s" in checked.output
 
 
-@pytest.mark.parametrize("name", ["show.skyc", "folder", "plan.json"])
+@each("name", ["show.skyc", "folder", "plan.json"])
 def test_exchanged_goals_are_written_in_formats_of_others_and_read_again(goals: str, name: str, tmp_path: Path) -> None:
     output = tmp_path / name
     made = plan("make", goals, "--exchange", "--margin", 2.5, "-o", output)
@@ -118,7 +119,7 @@ def test_the_current_formation_is_turned_about_its_middle(goals: str, tmp_path: 
     assert shown["bravo"]["end_m"] == pytest.approx([-10.0, -10.0, 10.0], abs=0.001)
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "code", "words"),
     [
         (("--formation", "star", "--at", "0,0,9"), 2, "neither one of line, column"),
@@ -173,7 +174,7 @@ def test_a_table_of_positions_is_planned(tmp_path: Path) -> None:
     assert plan("make", table, "--margin", 2.5).exit_code == 0
 
 
-@pytest.mark.parametrize(
+@each(
     "options",
     [
         ("--ceiling", 16.0),
@@ -186,7 +187,7 @@ def test_the_space_is_kept(goals: str, options: tuple[object, ...]) -> None:
     assert plan("make", goals, "--margin", 2.5, *options).exit_code == 1
 
 
-@pytest.mark.parametrize(
+@each(
     "options",
     [
         ("--margin", 0),

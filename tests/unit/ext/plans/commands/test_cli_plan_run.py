@@ -16,7 +16,8 @@ from skygcs.errors import RefusedError
 from skygcs.ext.plans.commands.plan_run import headline, picture, report_lines
 from skygcs.ext.plans.flight.flight_steps import starts_of
 from skygcs.ext.plans.flight_check import FlightRequest
-from support.controlled import Commanded, commanded
+from support.controlled import Commanded
+from support.table import each
 
 FAILED, USAGE = 1, 2
 
@@ -90,7 +91,7 @@ class FakePlans:
         self.observers: set[Callable[[], None]] = set()
         self.refuses: str | None = None
         self.answer: tuple[bool, str, list[str]] = (True, "going on", [])
-
+        self.flight = self.kept = None  # a call counts by their vehicles
         self.moving = True
         self.loaded: Plan | None = None
 
@@ -150,7 +151,7 @@ class FakePlans:
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Commanded]:
-    with commanded(tmp_path) as found:
+    with Commanded(tmp_path) as found:
         found.daemon.fleet.plans = FakePlans()  # type: ignore[attr-defined]
         yield found
 
@@ -204,9 +205,7 @@ def test_a_mission_is_flown_about_the_fleets_origin_by_the_vehicle_that_is_named
     assert "survey.plan: its positions are by latitude and longitude, and the fleet has no origin yet" in text
 
 
-@pytest.mark.parametrize(
-    ("state", "hint"), [("stopped", "plan resume"), ("aborted", "aborted: it is aborted"), ("landed", "")]
-)
+@each(("state", "hint"), [("stopped", "plan resume"), ("aborted", "aborted: it is aborted"), ("landed", "")])
 def test_it_exits_1_where_it_does_not_come_to_its_goals(
     fleet: Commanded, tmp_path: Path, state: str, hint: str
 ) -> None:

@@ -14,8 +14,9 @@ from skygcs.cli.main import app
 from skygcs.errors import RpcError
 from skygcs.ext.plans.commands.table import TableFlight, flight_table, send
 from skygcs.ext.plans.position_table import Spot
-from support.controlled import Commanded, commanded
+from support.controlled import Commanded
 from support.fake_daemon import FakeOutcome
+from support.table import each
 
 DONE, FAILED, USAGE = 0, 1, 2
 TABLE = """vehicle,initial_x,initial_y,initial_z,final_x,final_y,final_z,final_heading_deg
@@ -26,9 +27,8 @@ bravo,20,0,5,20,20,5,
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    with commanded(tmp_path) as fleet:
+def fleet(tmp_path: Path) -> Iterator[Commanded]:
+    with Commanded(tmp_path) as fleet:
         yield fleet
 
 
@@ -152,7 +152,7 @@ def test_a_vehicle_that_does_not_take_part_is_in_the_way(fleet: Commanded, tmp_p
     assert "alpha and bravo" in text and "alpha and carol" in text and nothing_flew(fleet)
 
 
-@pytest.mark.parametrize(
+@each(
     "args", [("--arrive", "0"), ("--timeout", "-1"), ("--separation", "nan"), ("--separation", "-1"), ("--arrive", "x")]
 )
 def test_a_wrong_option_is_a_usage_error(fleet: Commanded, table: str, args: tuple[str, str]) -> None:
@@ -183,7 +183,7 @@ def test_check_needs_no_daemon_and_finds_all(tmp_path: Path) -> None:
     assert "line 2: final x" in checked(path, "vehicle,final_x,final_y,final_z\na,x,1,2\n", code=FAILED)
 
 
-@pytest.mark.parametrize(
+@each(
     ("rows", "what"),
     [
         # at one speed they pass, but one of them may be late

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from skygcs.errors import ConfigError, SkygcsError
 from skygcs.ext.plans.commands.table import read_table
 from skygcs.ext.plans.position_table import Spot, spots
+from support.table import each
 
 CSV = """# two vehicles
 vehicle,initial_x,initial_y,initial_z,initial_heading_deg,final_x,final_y,final_z,final_heading_deg
@@ -43,7 +44,7 @@ def problems(folder: Path, text: str, name: str = "t.csv") -> str:
     return "\n".join(error.value.problems)
 
 
-@pytest.mark.parametrize(("text", "name"), [(CSV, "t.csv"), (TOML, "t.toml"), ("\ufeff" + CSV, "excel.csv")])
+@each(("text", "name"), [(CSV, "t.csv"), (TOML, "t.toml"), ("\ufeff" + CSV, "excel.csv")])
 def test_both_formats_say_the_same(tmp_path: Path, text: str, name: str) -> None:
     table = read_table(written(tmp_path, text, name))
     assert table == {
@@ -87,7 +88,7 @@ def test_every_problem_is_reported_at_once_with_its_line(tmp_path: Path) -> None
         assert line in text
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "name", "reason"),
     [
         ("", "t.csv", "it names no vehicle"),

@@ -12,8 +12,9 @@ import pytest
 from skygcs.cli.control import track_reasons
 from skygcs.core.trajectory import Trajectory
 from skygcs.rpc.client import connect
-from support.controlled import FLYING, Commanded, commanded
+from support.controlled import FLYING, Commanded
 from support.fake_daemon import FakeOutcome, FakeVehicle
+from support.table import each
 
 FAILED, USAGE = 1, 2
 OK = FakeOutcome(True, "accepted", "done", attempts=0, elapsed_s=0.0)
@@ -65,9 +66,8 @@ class FakeTrajectories:
 
 
 @pytest.fixture
-def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
-    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
-    with commanded(tmp_path) as fleet:
+def fleet(tmp_path: Path) -> Iterator[Commanded]:
+    with Commanded(tmp_path) as fleet:
         fleet.daemon.fleet.trajectories = FakeTrajectories()  # type: ignore[attr-defined]
         yield fleet
 
@@ -101,7 +101,7 @@ def test_a_file_of_several_is_for_those_of_its_names(fleet: Commanded, tmp_path:
     assert "it is for alpha, bravo, zulu" in text
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "text", "reason"),
     [
         ("none.csv", None, "cannot be read"),
@@ -138,7 +138,7 @@ def test_orders_ask_for_what_was_said(fleet: Commanded) -> None:
     assert "too fast" in fleet.run("trajectory", "speed", "alpha", "2", code=FAILED)
 
 
-@pytest.mark.parametrize(
+@each(
     "args",
     [
         ("start",),

@@ -43,7 +43,7 @@ def test_the_charge_covers_plan_landing_and_reserve(percent: float | None, plan_
     assert percent is None or "measured in flight" in found.text
 
 
-@pytest.mark.parametrize("said", [math.nan, math.inf])
+@each("said", [math.nan, math.inf])
 async def test_a_return_height_that_is_no_number_is_not_known(said: float) -> None:
     """Else it is near no other, and no way home would ever cross another."""
 

@@ -126,8 +126,12 @@ class Told:
         return [order.kind for order in self.orders]
 
 
-def test_the_whole_way_from_the_ground_to_the_goals() -> None:
-    told = Told()
+@pytest.fixture
+def told() -> Told:
+    return Told()
+
+
+def test_the_whole_way_from_the_ground_to_the_goals(told: Told) -> None:
     assert told.state is PlanState.ARMING and told.orders == [Order(OrderKind.MODE, NAMES)]
     told.done(OrderKind.MODE, "alpha")
     assert told.execution.waits_for == ("bravo",), "nobody arms before all are in the mode of their take-off"
@@ -160,8 +164,7 @@ def test_the_whole_way_from_the_ground_to_the_goals() -> None:
     ], "each state is reported once"
 
 
-def test_one_that_does_not_arm_keeps_all_on_the_ground_and_who_armed_is_disarmed() -> None:
-    told = Told()
+def test_one_that_does_not_arm_keeps_all_on_the_ground_and_who_armed_is_disarmed(told: Told) -> None:
     told.done(OrderKind.ARM, "alpha")
     told.see("alpha", armed=True)
     orders = told.done(OrderKind.ARM, "bravo", ok=False, text="denied")
@@ -170,8 +173,7 @@ def test_one_that_does_not_arm_keeps_all_on_the_ground_and_who_armed_is_disarmed
     assert OrderKind.TAKEOFF not in told.kinds()
 
 
-def test_one_that_does_not_change_its_mode_keeps_all_on_the_ground_and_nobody_arms() -> None:
-    told = Told()
+def test_one_that_does_not_change_its_mode_keeps_all_on_the_ground_and_nobody_arms(told: Told) -> None:
     told.done(OrderKind.MODE, "alpha")
     assert told.done(OrderKind.MODE, "bravo", ok=False, text="denied") == []
     assert told.state is PlanState.ABORTED and "bravo does not change its mode: denied" in told.execution.reason
@@ -217,16 +219,14 @@ def test_on_a_slow_link_one_that_does_not_arm_stops_the_rest_and_who_stands_is_d
     assert late.done(OrderKind.ARM, "bravo") == [Order(OrderKind.DISARM, ("bravo",))], "it comes too late"
 
 
-def test_an_arming_that_comes_after_the_abort_is_undone() -> None:
-    told = Told()
+def test_an_arming_that_comes_after_the_abort_is_undone(told: Told) -> None:
     told.take(told.execution.abort())
     assert told.state is PlanState.ABORTED
     assert told.done(OrderKind.ARM, "alpha") == [Order(OrderKind.DISARM, ("alpha",))]
     assert told.done(OrderKind.DISARM, "alpha", ok=False) == [Order(OrderKind.HOLD, ("alpha",))]
 
 
-def test_one_that_took_off_by_its_pilot_after_the_abort_is_left_to_him() -> None:
-    told = Told()
+def test_one_that_took_off_by_its_pilot_after_the_abort_is_left_to_him(told: Told) -> None:
     told.take(told.execution.abort())
     assert told.done(OrderKind.ARM, "alpha") == [Order(OrderKind.DISARM, ("alpha",))]
     refused = told.execution.outcome(OrderKind.DISARM, "alpha", False, "not landed", unexpected_mode="POSCTL")
@@ -238,8 +238,7 @@ def test_one_that_took_off_by_its_pilot_after_the_abort_is_left_to_him() -> None
     ]
 
 
-def test_an_abort_holds_those_that_climb_but_not_one_that_its_pilot_has() -> None:
-    told = Told()
+def test_an_abort_holds_those_that_climb_but_not_one_that_its_pilot_has(told: Told) -> None:
     told.done(OrderKind.ARM)
     for name in NAMES:
         told.see(name, armed=True, on_ground=False, takeoff="climbs")
@@ -265,8 +264,7 @@ def test_an_abort_before_control_leaves_those_that_it_has_not_taken() -> None:
     assert told.orders[-1] == Order(OrderKind.HOLD, ("bravo",))
 
 
-def test_one_that_does_not_take_off_disarms_who_stands_and_nothing_goes_on() -> None:
-    told = Told()
+def test_one_that_does_not_take_off_disarms_who_stands_and_nothing_goes_on(told: Told) -> None:
     told.done(OrderKind.ARM)
     for name in NAMES:
         told.see(name, armed=True)
@@ -297,8 +295,7 @@ def test_a_vehicle_off_its_reference_for_long_or_far_stops_all_and_its_pairs_are
         assert told.execution.changes[-1].vehicle == "bravo"
 
 
-def test_on_a_straight_way_it_may_be_anywhere_but_beside_it() -> None:
-    told = Told()
+def test_on_a_straight_way_it_may_be_anywhere_but_beside_it(told: Told) -> None:
     told.to_control()
     assert told.state is PlanState.TO_STARTS and not told.execution.step.timed
     told.see("alpha", place_m=told.execution.step.places()["alpha"])
@@ -332,8 +329,7 @@ def test_each_trouble_stops_the_clock_of_all_at_once(change: dict[str, Any], tex
     assert len(told.execution.changes) == count, "reported once"
 
 
-def test_a_barrier_that_one_does_not_reach_stops_and_opens_for_nobody() -> None:
-    told = Told()
+def test_a_barrier_that_one_does_not_reach_stops_and_opens_for_nobody(told: Told) -> None:
     told.to_control()
     told.clock = ClockState.FINISHED
     told.at(told.execution.step.places())
@@ -344,8 +340,7 @@ def test_a_barrier_that_one_does_not_reach_stops_and_opens_for_nobody() -> None:
     assert told.kinds().count(OrderKind.FLY) == 1
 
 
-def test_a_barrier_waits_for_those_that_pass_by() -> None:
-    told = Told()
+def test_a_barrier_waits_for_those_that_pass_by(told: Told) -> None:
     told.to_control()
     told.clock = ClockState.FINISHED
     told.at(told.execution.step.places())
@@ -354,8 +349,7 @@ def test_a_barrier_waits_for_those_that_pass_by() -> None:
     assert told.state is PlanState.TO_STARTS and told.execution.waits_for == ("bravo",)
 
 
-def test_pause_and_resume_by_order_and_a_vehicle_that_leaves_meanwhile() -> None:
-    told = Told()
+def test_pause_and_resume_by_order_and_a_vehicle_that_leaves_meanwhile(told: Told) -> None:
     told.to_flying()
     assert told.take(told.execution.pause()) == [Order(OrderKind.STOP_CLOCK)]
     assert told.take(told.execution.go_on()) == [Order(OrderKind.GO_ON)] and told.state is PlanState.FLYING
@@ -367,8 +361,7 @@ def test_pause_and_resume_by_order_and_a_vehicle_that_leaves_meanwhile() -> None
         told.execution.go_on()
 
 
-def test_abort_stops_then_holds_those_that_still_follow() -> None:
-    told = Told()
+def test_abort_stops_then_holds_those_that_still_follow(told: Told) -> None:
     told.to_flying()
     assert told.take(told.execution.abort()) == [Order(OrderKind.END_CLOCK)]
     told.clock = ClockState.ABORTING
@@ -382,8 +375,7 @@ def test_abort_stops_then_holds_those_that_still_follow() -> None:
         told.execution.abort()
 
 
-def test_landing_is_certified_first_and_goes_by_rounds() -> None:
-    told = Told()
+def test_landing_is_certified_first_and_goes_by_rounds(told: Told) -> None:
     told.to_flying()
     assert told.take(told.execution.land()) == [Order(OrderKind.STOP_CLOCK)]
     assert told.tick() == [Order(OrderKind.CERTIFY_LANDING)] and told.tick() == []
@@ -397,8 +389,7 @@ def test_landing_is_certified_first_and_goes_by_rounds() -> None:
     assert told.state is PlanState.LANDED
 
 
-def test_a_landing_that_is_refused_leaves_them_where_they_are() -> None:
-    told = Told()
+def test_a_landing_that_is_refused_leaves_them_where_they_are(told: Told) -> None:
     told.to_flying()
     told.take(told.execution.land())
     told.tick()
@@ -563,8 +554,7 @@ def test_a_step_of_one_vehicle_that_stands_has_no_pairs() -> None:
 GONE = Departure(DepartureCause.LOST, "it was forgotten")
 
 
-def test_one_that_is_gone_while_they_arm_keeps_all_on_the_ground() -> None:
-    told = Told()
+def test_one_that_is_gone_while_they_arm_keeps_all_on_the_ground(told: Told) -> None:
     told.done(OrderKind.ARM, "alpha")
     told.see("alpha", armed=True)
     told.see("bravo", left=GONE, forgotten=True)
@@ -572,8 +562,7 @@ def test_one_that_is_gone_while_they_arm_keeps_all_on_the_ground() -> None:
     assert told.state is PlanState.ABORTED and "bravo left: it was forgotten" in told.execution.reason
 
 
-def test_one_that_is_gone_while_they_take_off_stops_and_who_stands_is_disarmed() -> None:
-    told = Told()
+def test_one_that_is_gone_while_they_take_off_stops_and_who_stands_is_disarmed(told: Told) -> None:
     told.done(OrderKind.ARM)
     told.see("alpha", armed=True, on_ground=False, takeoff="climbs")
     told.see("bravo", armed=True, left=GONE, forgotten=True)
@@ -589,8 +578,7 @@ def test_one_that_is_gone_before_it_was_taken_under_control_is_not_waited_for() 
     assert told.state is PlanState.STOPPED and "bravo left" in told.execution.reason
 
 
-def test_an_abort_does_not_wait_for_the_hold_of_one_that_is_forgotten() -> None:
-    told = Told()
+def test_an_abort_does_not_wait_for_the_hold_of_one_that_is_forgotten(told: Told) -> None:
     told.to_flying()
     told.take(told.execution.abort())
     told.see("bravo", forgotten=True)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import pytest
-
 from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon
 from skygcs.core.vehicle.fence_params import FenceSettings
 from skygcs.ext.plans.flight.flight_findings import Level
 from skygcs.ext.plans.flight.plan_in_fence import Reach, fence_finding
+from support.table import each
 from support.vehicles import HOME
 
 LISTED = FenceSettings(enabled=True, action="return", radius_m=None, height_m=None, follows_list=True)
@@ -27,7 +26,7 @@ def square(half_m: float, *, inclusion: bool) -> FencePolygon:
     return FencePolygon(inclusion, (at(-half_m, -half_m), at(half_m, -half_m), at(half_m, half_m), at(-half_m, half_m)))
 
 
-@pytest.mark.parametrize(
+@each(
     ("shapes", "way", "tube_m", "said"),
     [
         (FencePlan((square(30, inclusion=True),)), ((0, 0), (28, 0)), 1.5, ""),

@@ -10,6 +10,7 @@ import pytest
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.planning.planning_queue import MAX_WAITING, PlanningQueue
 from skygcs.ext.plans.planning.process import OnProgress, PlanningFailed, ProcessLimits
+from support.table import each
 
 
 class Computer:
@@ -86,7 +87,7 @@ async def test_a_client_that_leaves_ends_its_request_and_the_next_one_begins() -
     assert await second == b'{"n":"b"}' and queue.counters.cancelled == 1
 
 
-@pytest.mark.parametrize("which", ["running", "waiting"])
+@each("which", ["running", "waiting"])
 async def test_a_request_is_cancelled_by_its_client_or_its_number(which: str) -> None:
     computer = Computer()
     queue = queue_of(computer)

@@ -89,13 +89,11 @@ export class AlarmLog {
     return text;
   }
 
-  /** The list after a new connection. What was judged before keeps its severity, which was that of its time. */
+  /** The list after a new connection. What was judged before keeps its severity, which was that of its time; what was not is
+   *  judged as if its vehicle was armed: "Crash: Disarming" is an alarm though the vehicle is disarmed by now. */
   private anew(state: State, unix_s: number): void {
     const before = new Map(this.events.map((event) => [keyOf(event), event.severity]));
-    this.events = state.events.map((event) => ({
-      ...event,
-      severity: before.get(keyOf(event)) ?? severityOf(event, armedOf(state, event)),
-    }));
+    this.events = state.events.map((event) => ({ ...event, severity: before.get(keyOf(event)) ?? severityOf(event, null) }));
     const old = this.first ? this.events.filter((event) => unix_s - event.time_unix_s > FRESH_S) : [];
     this.first = false;
     this.keep(new Set([...this.acknowledged, ...old.map(keyOf)]));

@@ -16,26 +16,33 @@ const WARNING_LEVEL = 4;
 const BEFORE_FLIGHT = /^(PreArm|Arm:|Preflight Fail|Arming denied)/i;
 
 /** Kinds that report a change to the worse, whatever is in them. */
-const WARNINGS = new Set(["warning", "conflict", "duplicate", "link_down", "link_degraded", "undo", "reboot"]);
+const WARNINGS = new Set(["warning", "conflict", "link_down", "link_degraded", "undo", "reboot"]);
 
 const WARNING_RESULTS = new Set(["failed", "denied", "timeout", "lost", "refused", "unsupported"]);
 
-/** `armed`: whether the event's vehicle was armed as far as the page knows; null: it does not. */
+/** The same as the daemon's alarms have (core/alarms/kinds.py), and a severity for events that raise no alarm. `armed`: whether the
+ *  event's vehicle was armed as far as the page knows; null: it does not. */
 export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
   const { data } = event;
+  const grounded = armed === false ? "warning" : "alarm";
   switch (event.kind) {
     case "fault":
     case "takeoff":
       return "alarm";
     case "statustext":
-      return textSeverity(event.text, data["level"]);
+      return textSeverity(event.text, data["level"], grounded);
     case "failsafe":
       return data["failsafe"] === false ? "info" : "alarm";
     case "vehicle_lost":
-      return data["forgotten"] === true || armed === false ? "warning" : "alarm";
+      return data["forgotten"] === true ? "warning" : grounded;
     case "unattended":
     case "uplink_lost":
-      return armed === false ? "warning" : "alarm";
+    case "ground_lost":
+      return grounded;
+    case "fence":
+      return data["outside"] === true ? grounded : "info";
+    case "duplicate":
+      return data["change"] === "duplicate_over" ? "info" : "alarm";
     case "separation":
       return separationSeverity(data);
     case "system_status":
@@ -45,9 +52,12 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
     case "control":
       return data["state"] === "held" ? "alarm" : "info";
     case "command":
+      if (data["order"] === "stop" && data["ok"] === false && data["result"] !== "cancelled") return "alarm";
       return isFailed(data) ? "warning" : "info";
     case "recorder":
-      return data["error"] !== undefined || data["lost"] !== undefined ? "warning" : "info";
+      if (data["recording"] === false) return "alarm";
+      // it is recording again, and has lost something or nothing
+      return data["error"] !== undefined || Number(data["lost"] ?? 0) > 0 ? "warning" : "info";
     case "warning":
       // the operator watchdog: nobody touched anything, and vehicles are brought down
       return data["action"] !== undefined && data["vehicles"] !== undefined ? "alarm" : "warning";
@@ -56,9 +66,9 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
   }
 }
 
-function textSeverity(text: string, level: unknown): Severity {
+function textSeverity(text: string, level: unknown, grounded: Severity): Severity {
   if (typeof level !== "number" || level > WARNING_LEVEL) return "info";
-  return level <= CRITICAL_LEVEL && !BEFORE_FLIGHT.test(text) ? "alarm" : "warning";
+  return level <= CRITICAL_LEVEL && !BEFORE_FLIGHT.test(text) ? grounded : "warning";
 }
 
 function separationSeverity(data: FleetEvent["data"]): Severity {

@@ -1,7 +1,6 @@
-// How a panel joins the page: one entry in `PANELS` of index.ts, and a module that exports its component as `default`.
-// Modules are loaded when they are first shown.
+// How a panel joins the page: one entry in `PANELS` of index.ts, and a module that exports its component as `default`, which
+// components.ts names.
 
-import type { ComponentType } from "preact";
 import type { Connection } from "../connection.ts";
 import type { State, Store } from "../store.ts";
 import type { FleetView } from "../view/fleet_view.ts";
@@ -14,12 +13,11 @@ export interface PanelProps {
 }
 
 export interface Panel {
-  /** Part of the address after #, letters only. */
-  id: string;
+  /** Part of the address after #. */
+  id: keyof typeof import("./components.ts");
   title: string;
   /** `side`: a tab beside the fleet view; `page`: instead of it; `dock`: a strip below the top bar while `when` holds. */
   place: "side" | "page" | "dock";
-  load: () => Promise<{ default: ComponentType<PanelProps> }>;
   /** Shown only while it holds. */
   when?: (state: State) => boolean;
   /** A number beside the title, 0 for none: what waits for a person. */

@@ -87,3 +87,7 @@ export function lengthText(m: number): string {
 function clamp(value: number, least: number, most: number): number {
   return Math.min(Math.max(value, least), most);
 }
+
+export function sameCamera(a: Camera, b: Camera): boolean {
+  return a.x === b.x && a.y === b.y && a.pxPerM === b.pxPerM && a.widthPx === b.widthPx && a.heightPx === b.heightPx;
+}

@@ -1,9 +1,11 @@
-// The fleet view: one canvas, drawn when something changed and only then. Pan, zoom, fit, follow, and the tools of panels.
+// The fleet view: vehicles on one canvas above another of what lies beneath them, drawn when something changed and only then. Pan, zoom,
+// fit, follow, and the tools of panels.
 
 import { frameIsKnown, frameKey } from "../framed.ts";
 import { recall, remember, onTheme } from "../theme.ts";
 import type { State, Store } from "../store.ts";
-import { extended, fitted, panned, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
+import { Backdrop, BACKDROP_EVERY_MS } from "./backdrop.ts";
+import { extended, fitted, panned, sameCamera, toScreenX, toScreenY, toWorld, zoomedAt, type Bounds, type Camera } from "./camera.ts";
 import * as draw from "./drawing.ts";
 import { arrowAt, edgeArrows, type Arrow } from "./edge_arrows.ts";
 import { frameAt, fromGeodetic, toGeodetic, type Frame } from "./frame.ts";
@@ -13,7 +15,7 @@ import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
 import { Sprites, type Pen } from "./sprites.ts";
 import { labelLine, meetingsOf, sceneOf, type Body, type Scene } from "./scene.ts";
-import { drawSide, sidePxOf, topOf } from "./side_view.ts";
+import { drawSideBodies, drawSideGround, sidePxOf, sideScale, topOf, type SideScale } from "./side_view.ts";
 
 const START: Camera = { x: 0, y: 0, pxPerM: 8, widthPx: 0, heightPx: 0 };
 /** The canvas is never finer than that: twice the pixels cost four times the time, and nobody sees the difference. */
@@ -22,9 +24,7 @@ const HIT_PX = 18;
 /** Between the buttons and a vehicle that is fitted into the view: its ring has a radius of 19. */
 const BELOW_BUTTONS_PX = 24;
 const LABELS_EVERY_MS = 150;
-/** So often what has come is added to the trails: the layer is copied each time. While the view moves they are drawn anew so
- *  often, or when that took long, in a tenth of the time. */
-const TRAILS_EVERY_MS = 200;
+/** While the view moves trails are drawn anew as often as the backdrop, or when that took long, in a tenth of the time. */
 const TRAILS_SHARE = 10;
 /** What has fallen out of the trails' bounds goes away with the next full drawing. */
 const TRAILS_ANEW_MS = 10_000;
@@ -32,10 +32,21 @@ const TRAILS_ANEW_MS = 10_000;
 const SLOW_DRAW_MS = 10;
 /** A vehicle is shown as silent though nothing comes any more, of it or of others. */
 const AGES_EVERY_MS = 1000;
-/** A state is drawn with the frame that is due so soon. */
-const SOON_MS = 50;
 /** A pause shorter than a frame of the screen is left out. */
 const SCREEN_FRAME_MS = 17;
+/** Motion looks smooth in steps of so many pixels of the screen. */
+const STEP_PX = 1.25;
+/** What takes longer for a step is drawn with the states, ten a second: the browser makes a frame for the table then. */
+const WITH_STATES_MS = 80;
+/** Should no state come. */
+const NO_STATE_MS = 170;
+/** A state is drawn when what moves has made most of a step since the last frame, and at the latest after so long. */
+const MOST_OF_STEP = 0.7;
+const STATE_WITHIN_MS = 200;
+/** Of vehicles that move with the states alone each state is drawn. */
+const EACH_STATE_MS = 100;
+/** A state that comes before one is due is drawn with the next one, which makes a frame for the table in any case, or after so long. */
+const NEXT_STATE_MS = 130;
 
 /** More vehicles at once are dots, and have no label but those that need a person. */
 const MANY_SHOWN = 200;
@@ -56,6 +67,18 @@ export interface DrawFigures {
   faults: number;
 }
 
+/** What is drawn in one frame, and in which colours. */
+interface Look {
+  nowMs: number;
+  palette: Palette;
+  shown: readonly Body[];
+  /** They are so many that they are dots. */
+  afar: boolean;
+  side: SideScale | null;
+  colourOf: (body: Body) => string;
+  colours: draw.Colours;
+}
+
 export class FleetView {
   /** Of the part above the side view. */
   camera: Camera = START;
@@ -69,12 +92,14 @@ export class FleetView {
   /** What lies on the canvas: buttons. */
   buttons: () => readonly Box[] = () => [];
   private canvas: HTMLCanvasElement | null = null;
-  private pen: Pen | null = null;
+  private pen: CanvasRenderingContext2D | null = null;
+  /** Of the canvas beneath. */
+  private ground: CanvasRenderingContext2D | null = null;
   private palette: Palette | null = null;
   private ratio = 1;
   /** Of the whole canvas. */
   private heightPx = 0;
-  private scene: Scene = { bodies: [], acrossMps: 0, upMps: 0 };
+  private scene: Scene = { bodies: [], acrossMps: 0, upMps: 0, jumps: false };
   private arrows: readonly Arrow[] = [];
   private requested = false;
   /** The frame of the screen that was drawn last: none is drawn twice. */
@@ -82,18 +107,26 @@ export class FleetView {
   /** A frame that is drawn later unless another one comes first. */
   private later: ReturnType<typeof setTimeout> | undefined;
   private laterAtMs = Infinity;
-  /** Vehicles that the view was fitted to; it is fitted anew with each further one until a person moves it. */
+  /** From then on a state is drawn in the frame in which it comes. */
+  private stateDueMs = 0;
+  /** Vehicles that the view was fitted to; it is fitted anew with each further one until a person moves it or draws on it. */
   private fittedTo = 0;
   private moved = false;
+  /** The view was fitted to vehicles once. Before that nothing can hold it: it shows where none are, or has no size yet. */
+  private fitted = false;
+  /** Of the store's vehicles, as they were when the view was drawn last. */
+  private generation = -1;
+  private names: readonly string[] = [];
   private sideTopM = 0;
   private readonly overlays = new Map<string, Overlay>();
   private readonly labels = new LabelSprites();
   private readonly sprites = new Sprites();
   private placements = new Map<string, Placement>();
   private placedMs = 0;
+  private readonly backdrop = new Backdrop();
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
-  private trailsDrawn: { camera: Camera; ms: number; tookMs: number; addedMs: number } | null = null;
-  private readonly map = new MapLayer(() => this.redraw());
+  private trailsDrawn: { camera: Camera; ms: number; tookMs: number } | null = null;
+  private readonly map = new MapLayer(() => this.repaint());
   private readonly changeListeners = new Set<() => void>();
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -102,14 +135,10 @@ export class FleetView {
       this.onState(state);
       // the answer to a key or a click does not wait for the canvas, and no frame of the screen is drawn twice
       if (!inFrame || this.frameDrawn === screenFrame()) this.redraw();
-      else if (this.canvas !== null && !this.requested && this.laterAtMs - performance.now() >= SOON_MS) this.drawTimed();
+      else if (this.canvas !== null && !this.requested) this.drawState();
     });
-    const anew = (): void => {
-      this.palette = null;
-      this.redraw();
-    };
-    onTheme(anew);
-    void document.fonts.ready.then(anew);
+    onTheme(() => this.forgetPictures());
+    void document.fonts.ready.then(() => this.forgetPictures());
   }
 
   // --- what panels and buttons use
@@ -118,13 +147,15 @@ export class FleetView {
   setOverlay(id: string, overlay: Overlay | null): void {
     if (overlay === null) this.overlays.delete(id);
     else this.overlays.set(id, overlay);
-    this.redraw();
+    this.repaint();
   }
 
-  /** Gives the pointer to a tool; the tool before it is cancelled. */
+  /** Gives the pointer to a tool; the tool before it is cancelled. The view stays then where the person sees it: what is drawn
+   *  makes a panel higher, and the canvas smaller, and would be fitted with each click. */
   setTool(tool: Tool | null): void {
     const before = this.tool;
     this.tool = tool;
+    if (tool !== null && this.fitted) this.moved = true;
     if (before !== null && before !== tool) before.cancel?.();
     if (this.canvas !== null) this.canvas.style.cursor = tool?.cursor ?? "grab";
     this.changed();
@@ -147,6 +178,7 @@ export class FleetView {
     const bounds = this.boundsOf(what);
     const topPx = Math.max(0, ...this.buttons().map((box) => box.bottom + BELOW_BUTTONS_PX));
     if (bounds !== null) this.camera = fitted(this.camera, bounds, topPx);
+    if (bounds !== null && this.camera.widthPx > 0) this.fitted = true;
     this.changed();
   }
 
@@ -220,17 +252,38 @@ export class FleetView {
     return () => this.changeListeners.delete(listener);
   }
 
-  attach(canvas: HTMLCanvasElement): () => void {
+  /** `ground`: of the same place and size, beneath the canvas that has the pointer. */
+  attach(canvas: HTMLCanvasElement, ground: HTMLCanvasElement): () => void {
     this.canvas = canvas;
-    this.pen = canvas.getContext("2d", { alpha: false });
+    this.pen = canvas.getContext("2d");
+    this.ground = ground.getContext("2d", { alpha: false });
     this.palette = null;
-    const observer = new ResizeObserver(() => this.resize());
+    const resized = (): void => {
+      this.resize();
+      this.drawTimed(); // the canvas is empty now, and would be shown so until the next frame
+    };
+    const observer = new ResizeObserver(resized);
     observer.observe(canvas);
+    const unwatch = onPixelRatio(resized);
+    // the pictures that are kept went with the context, or with the memory of a page that nobody saw
+    const restored = (): void => {
+      this.palette = null;
+      this.resize();
+    };
+    const seen = (): void => {
+      if (document.visibilityState === "visible") this.forgetPictures();
+    };
+    for (const one of [canvas, ground]) one.addEventListener("contextrestored", restored);
+    document.addEventListener("visibilitychange", seen);
     this.resize();
     return () => {
       observer.disconnect();
+      unwatch();
+      for (const one of [canvas, ground]) one.removeEventListener("contextrestored", restored);
+      document.removeEventListener("visibilitychange", seen);
       this.canvas = null;
       this.pen = null;
+      this.ground = null;
     };
   }
 
@@ -245,6 +298,18 @@ export class FleetView {
 
   // --- inside
 
+  /** Something beneath the vehicles changed. */
+  private repaint(): void {
+    this.backdrop.stale();
+    this.redraw();
+  }
+
+  /** All that is kept as a picture is drawn anew. */
+  private forgetPictures(): void {
+    this.palette = null;
+    this.repaint();
+  }
+
   private changed(): void {
     this.redraw();
     for (const listener of this.changeListeners) listener();
@@ -258,7 +323,13 @@ export class FleetView {
       this.lastFrame = frameAt(origin, state.origin === null);
       this.trailsDrawn = null; // the old trails are in metres of the frame before
     }
-    this.frame = frameIsKnown(state) ? this.lastFrame : null;
+    const frame = frameIsKnown(state) ? this.lastFrame : null;
+    // after a jump in a replay or a new connection the trails are others
+    const others = state.generation !== this.generation || state.names !== this.names;
+    [this.generation, this.names] = [state.generation, state.names];
+    if (others) this.trailsDrawn = null;
+    if (others || frame !== this.frame) this.backdrop.stale();
+    this.frame = frame;
     this.map.show(state.hello);
   }
 
@@ -267,10 +338,12 @@ export class FleetView {
     if (canvas === null) return;
     const { width, height } = canvas.getBoundingClientRect();
     this.ratio = Math.min(devicePixelRatio || 1, MOST_RATIO);
-    canvas.width = Math.max(Math.round(width * this.ratio), 1);
-    canvas.height = Math.max(Math.round(height * this.ratio), 1);
-    this.trailLayer.width = canvas.width;
-    this.trailLayer.height = canvas.height;
+    for (const one of [canvas, this.trailLayer, this.ground?.canvas]) {
+      if (one === undefined) continue;
+      one.width = Math.max(Math.round(width * this.ratio), 1);
+      one.height = Math.max(Math.round(height * this.ratio), 1);
+    }
+    this.backdrop.stale();
     this.heightPx = height;
     this.camera = { ...this.camera, widthPx: width, heightPx: Math.max(height - (this.options.side ? sidePxOf(height) : 0), 1) };
     this.trailsDrawn = null;
@@ -300,21 +373,39 @@ export class FleetView {
     this.laterAtMs = Infinity;
     this.frameDrawn = screenFrame();
     const begun = performance.now();
-    try {
-      this.drawAll(begun);
-    } catch (error) {
-      // one fault, say of a shape from a panel, must not freeze the whole view: the next frame is drawn all the same
-      this.figures.faults += 1;
-      if (this.figures.faults === 1) console.error("the fleet view could not be drawn", error);
-    }
+    this.contained(() => this.drawAll(begun));
     const took = performance.now() - begun;
     this.figures.frames += 1;
     this.figures.lastMs = took;
     this.figures.longestMs = Math.max(this.figures.longestMs, took);
     const { camera, scene } = this;
     const sidePxPerM = this.options.side ? (this.heightPx - camera.heightPx) / Math.max(this.sideTopM, 1) : 0;
-    const pauseMs = pauseBefore(Math.max(scene.acrossMps * camera.pxPerM, scene.upMps * sidePxPerM) * this.ratio);
+    const stepMs = (1000 * STEP_PX) / (Math.max(scene.acrossMps * camera.pxPerM, scene.upMps * sidePxPerM) * this.ratio);
+    const alone = stepMs < WITH_STATES_MS;
+    const pauseMs = alone ? pauseOf(stepMs) : Math.max(stepMs, NO_STATE_MS);
+    const dueMs = alone ? pauseMs : Math.min(stepMs * MOST_OF_STEP, scene.jumps ? EACH_STATE_MS : STATE_WITHIN_MS);
+    this.stateDueMs = begun + (took > SLOW_DRAW_MS ? Math.max(dueMs, 2 * took) : dueMs);
     if (scene.bodies.some(({ heard }) => heard)) this.redrawIn(Math.min(Math.max(pauseMs, took > SLOW_DRAW_MS ? took : 0), AGES_EVERY_MS));
+  }
+
+  /** One fault, say of a shape from a panel, must not freeze the whole view: the vehicles, and the next frame, are drawn all the
+   *  same. False: there was one. */
+  private contained(step: () => void): boolean {
+    try {
+      step();
+      return true;
+    } catch (error) {
+      this.figures.faults += 1;
+      if (this.figures.faults === 1) console.error("the fleet view could not be drawn", error);
+      return false;
+    }
+  }
+
+  /** A state has come, in a frame of the screen. */
+  private drawState(): void {
+    const leftMs = this.stateDueMs - performance.now();
+    if (leftMs > SCREEN_FRAME_MS) this.redrawIn(Math.max(leftMs, NEXT_STATE_MS));
+    else this.drawTimed();
   }
 
   /** Draws after so long, if nothing is drawn before. */
@@ -328,34 +419,50 @@ export class FleetView {
   }
 
   private drawAll(nowMs: number): void {
-    const { canvas, pen } = this;
-    if (canvas === null || pen === null || this.camera.widthPx === 0) return;
+    const { canvas, pen, ground } = this;
+    if (canvas === null || pen === null || ground === null || this.camera.widthPx === 0) return;
     if (this.palette === null) {
       this.palette = readPalette(canvas);
       this.labels.clear(this.ratio);
       this.sprites.clear(this.ratio);
       this.trailsDrawn = null;
+      this.backdrop.stale();
     }
     const palette = this.palette;
-    const { state } = this.store;
-    this.scene = sceneOf(state, this.frame, nowMs, !this.stillMotion.matches);
+    this.scene = sceneOf(this.store.state, this.frame, nowMs, !this.stillMotion.matches);
     this.steer();
-    const { camera } = this;
-    const colourOf = (body: Body): string => (body.heard || body.lostInAir ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost);
     const { bodies } = this.scene;
-    const colours = new Map(bodies.map(({ name, colour }) => [name, palette.vehicles[colour] ?? palette.accent]));
-    const shown = this.visible(camera);
+    const shown = this.visible(this.camera);
     const afar = shown.length > MANY_SHOWN;
     this.store.near = afar ? [] : shown.map(({ name }) => name);
-    pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    pen.fillStyle = palette.ground;
-    pen.fillRect(0, 0, camera.widthPx, this.heightPx);
-    if (this.options.map && this.frame !== null) this.map.draw(pen, camera, this.frame, this.ratio, palette);
-    draw.drawGrid(pen, camera, palette);
-    draw.drawOrigin(pen, camera, palette);
-    draw.drawOverlays(pen, camera, palette, this.overlays.values(), colours);
-    if (!afar) draw.drawHomes(pen, camera, palette, this.homes(state), this.sprites);
-    if (this.options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
+    const look: Look = {
+      nowMs,
+      palette,
+      shown,
+      afar,
+      side: this.sideScale(this.camera),
+      colourOf: (body) => (body.heard || body.lostInAir ? (palette.vehicles[body.colour] ?? palette.accent) : palette.lost),
+      colours: new Map(bodies.map(({ name, colour }) => [name, palette.vehicles[colour] ?? palette.accent])),
+    };
+    const painted = !this.backdrop.due(this.camera, nowMs) || this.contained(() => this.on(ground, () => this.drawBackdrop(ground, look)));
+    if (!painted) this.backdrop.stale();
+    pen.clearRect(0, 0, canvas.width, canvas.height); // of whole pixels of the screen: what was there need not be kept
+    this.on(pen, () => this.drawVehicles(pen, look));
+  }
+
+  /** Draws in pixels of the page, and leaves nothing of the pen's settings behind: a clip would hold for all that follows. */
+  private on(pen: Pen, drawing: () => void): void {
+    pen.save();
+    try {
+      pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+      drawing();
+    } finally {
+      pen.restore();
+    }
+  }
+
+  private drawVehicles(pen: Pen, { nowMs, palette, shown, afar, side, colourOf, colours }: Look): void {
+    const { camera } = this;
     if (this.options.trails) draw.drawTrailEnds(pen, camera, this.store.trails, shown, colourOf);
     draw.drawGoals(pen, camera, shown, colourOf);
     draw.drawMeetings(pen, camera, palette, meetingsOf(this.scene, this.frame));
@@ -363,12 +470,33 @@ export class FleetView {
     else draw.drawBodies(pen, camera, palette, shown, colourOf, this.sprites);
     if (this.options.labels) this.drawLabels(pen, camera, palette, afar ? shown.filter(isUrgent).slice(0, MOST_URGENT) : shown, nowMs);
     this.drawArrows(pen, camera, palette, colours);
+    if (side !== null) drawSideBodies(pen, camera, side, palette, this.scene.bodies, colourOf, this.sprites);
+  }
+
+  /** What the vehicles are drawn on: see `Backdrop`. */
+  private drawBackdrop(pen: Pen, { nowMs, palette, afar, side, colourOf, colours }: Look): void {
+    const { camera, options } = this;
+    pen.fillStyle = palette.ground;
+    // its last column and row are parts of a pixel of the screen where the ratio is no whole number
+    pen.fillRect(0, 0, Math.ceil(camera.widthPx * this.ratio) / this.ratio, Math.ceil(this.heightPx * this.ratio) / this.ratio);
+    if (options.map && this.frame !== null) this.map.draw(pen, camera, this.frame, this.ratio, palette);
+    draw.drawGrid(pen, camera, palette);
+    draw.drawOrigin(pen, camera, palette);
+    draw.drawOverlays(pen, camera, palette, this.overlays.values(), colours);
+    if (!afar) draw.drawHomes(pen, camera, palette, this.homes(this.store.state), this.sprites);
+    if (options.trails) this.drawTrails(pen, camera, palette, colourOf, nowMs);
     draw.drawScale(pen, camera, palette, this.frame);
-    if (this.options.map) draw.drawAttribution(pen, camera, palette, this.map.attribution);
-    if (this.options.side) {
-      this.sideTopM = topOf(bodies, this.overlays.values(), this.sideTopM);
-      drawSide(pen, camera, camera.heightPx, this.heightPx - camera.heightPx, this.sideTopM, palette, bodies, colourOf, this.overlays.values(), colours);
-    }
+    if (options.map) draw.drawAttribution(pen, camera, palette, this.map.attribution);
+    if (side !== null) drawSideGround(pen, camera, side, palette, this.overlays.values(), colours);
+  }
+
+  /** Of the strip of heights; null: it is not shown. */
+  private sideScale(camera: Camera): SideScale | null {
+    if (!this.options.side) return null;
+    const topM = topOf(this.scene.bodies, this.overlays.values(), this.sideTopM);
+    if (topM !== this.sideTopM) this.backdrop.stale();
+    this.sideTopM = topM;
+    return sideScale(camera.heightPx, this.heightPx - camera.heightPx, topM);
   }
 
   private drawArrows(pen: Pen, camera: Camera, palette: Palette, colours: draw.Colours): void {
@@ -383,9 +511,11 @@ export class FleetView {
 
   /** Follows the selected vehicles; fits the fleet as its vehicles come. */
   private steer(): void {
-    if (!this.moved && this.scene.bodies.length > this.fittedTo) {
-      this.fittedTo = this.scene.bodies.length;
+    const { bodies } = this.scene;
+    if ((!this.moved || !this.fitted) && bodies.length > (this.fitted ? this.fittedTo : 0)) {
+      this.fittedTo = bodies.length;
       this.fit("all");
+      if (this.tool !== null) this.moved = true; // see setTool
     }
     if (!this.follow) return;
     const selected = this.boundsOf("selected") ?? this.boundsOf("all");
@@ -420,18 +550,17 @@ export class FleetView {
     const drawn = this.trailsDrawn;
     const colours = new Map(this.scene.bodies.map((body) => [body.name, colourOf(body)]));
     const same = drawn !== null && sameCamera(drawn.camera, camera);
-    const pauseMs = same ? TRAILS_ANEW_MS : Math.max(TRAILS_EVERY_MS, (drawn?.tookMs ?? 0) * TRAILS_SHARE);
+    const pauseMs = same ? TRAILS_ANEW_MS : Math.max(BACKDROP_EVERY_MS, (drawn?.tookMs ?? 0) * TRAILS_SHARE);
     if (drawn === null || nowMs - drawn.ms > pauseMs) {
       layer.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
       layer.clearRect(0, 0, camera.widthPx, this.heightPx);
       draw.drawTrails(layer, camera, trails, colours, palette.lost);
-      this.trailsDrawn = { camera, ms: nowMs, tookMs: performance.now() - nowMs, addedMs: nowMs };
+      this.trailsDrawn = { camera, ms: nowMs, tookMs: performance.now() - nowMs };
+    } else if (same) {
+      draw.extendTrails(layer, camera, trails, colours, palette.lost);
     } else {
-      if (nowMs - drawn.addedMs > TRAILS_EVERY_MS) {
-        drawn.addedMs = nowMs;
-        draw.extendTrails(layer, drawn.camera, trails, colours, palette.lost);
-      }
-      if (!same) this.redrawIn(pauseMs - (nowMs - drawn.ms));
+      this.backdrop.stale();
+      this.redrawIn(pauseMs - (nowMs - drawn.ms));
     }
     const from = (this.trailsDrawn ?? { camera }).camera;
     const scale = camera.pxPerM / from.pxPerM;
@@ -492,11 +621,9 @@ function screenFrame(): number | null {
   return time === null ? null : Number(time);
 }
 
-/** Until what moves at so many pixels of the screen a second has moved one: no frame before would differ. */
-function pauseBefore(pxPerS: number): number {
-  if (pxPerS <= 0) return Infinity;
-  const ms = 1000 / pxPerS;
-  return ms <= 2 * SCREEN_FRAME_MS ? 0 : ms - SCREEN_FRAME_MS;
+/** Before the frame of the screen in which a step is made. */
+function pauseOf(stepMs: number): number {
+  return stepMs <= 2 * SCREEN_FRAME_MS ? 0 : stepMs - SCREEN_FRAME_MS;
 }
 
 function labelTone({ trouble, heard }: Body): LabelTone {
@@ -511,10 +638,6 @@ function isAlarming({ trouble, conflict }: Body): boolean {
 
 function isUrgent(body: Body): boolean {
   return isAlarming(body) || body.selected;
-}
-
-function sameCamera(a: Camera, b: Camera): boolean {
-  return a.x === b.x && a.y === b.y && a.pxPerM === b.pxPerM && a.widthPx === b.widthPx && a.heightPx === b.heightPx;
 }
 
 function withOverlay(bounds: Bounds | null, overlay: Overlay): Bounds | null {
@@ -544,4 +667,19 @@ function recalledOptions(): Partial<ViewOptions> {
   } catch {
     return {};
   }
+}
+
+/** Calls `changed` when the page comes to a screen of other pixels: the size of the canvas may stay the same then. */
+function onPixelRatio(changed: () => void): () => void {
+  let now: MediaQueryList;
+  const watch = (): void => {
+    now = matchMedia(`(resolution: ${devicePixelRatio}dppx)`);
+    now.addEventListener("change", heard, { once: true });
+  };
+  const heard = (): void => {
+    watch();
+    changed();
+  };
+  watch();
+  return () => now.removeEventListener("change", heard);
 }

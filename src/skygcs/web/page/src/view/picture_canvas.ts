@@ -12,14 +12,18 @@ export interface PictureCanvas {
   take: () => Picture;
 }
 
+/** Elements that are drawn on: a picture that could not be copied off is the canvas itself, and stays. */
+const drawnOn = new WeakSet<Picture>();
+
 /** Null: this browser draws nothing in two dimensions. */
 export function pictureCanvas(widthPx: number, heightPx: number): PictureCanvas | null {
   return offscreen(widthPx, heightPx) ?? onElement(widthPx, heightPx);
 }
 
-/** Frees what a picture holds. */
+/** Frees what a picture holds. A browser keeps the pixels of a canvas until it is collected; those of an empty one it frees. */
 export function discard(picture: Picture): void {
   if ("close" in picture) picture.close();
+  else if (!drawnOn.has(picture)) picture.width = picture.height = 0;
 }
 
 function offscreen(widthPx: number, heightPx: number): PictureCanvas | null {
@@ -41,6 +45,7 @@ function onElement(widthPx: number, heightPx: number): PictureCanvas | null {
   };
   const pen = made();
   if (pen === null) return null;
+  drawnOn.add(pen.canvas);
   const take = (): HTMLCanvasElement => {
     const copy = made();
     if (copy === null) return pen.canvas;

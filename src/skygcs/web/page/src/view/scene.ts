@@ -39,13 +39,15 @@ export interface Scene {
   /** Of the vehicles that are carried on, along the ground and up or down; 0: nothing moves before the next report. */
   acrossMps: number;
   upMps: number;
+  /** Some vehicle that is heard moves with its reports only: it is not carried on between them. */
+  jumps: boolean;
 }
 
 /** Every vehicle with a known place. `carry`: to where it is now, instead of where it was last heard. */
 export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry: boolean): Scene {
   const now_s = serverNowS(state, nowMs);
   const bodies: Body[] = [];
-  let [acrossMps, upMps] = [0, 0];
+  let [acrossMps, upMps, jumps] = [0, 0, false];
   const bySite = state.sites.length > 1;
   state.names.forEach((name, index) => {
     const vehicle = state.vehicles.get(name);
@@ -56,6 +58,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
     const trouble = troubleOf(vehicle, now_s);
     const velocity = velocityOf(frame, vehicle);
     const speedMps = velocity === null ? null : Math.hypot(velocity[0], velocity[1]);
+    if (heard && (!carry || velocity === null)) jumps = true;
     let [x, y, z] = place;
     if (carry && heard && velocity !== null && Math.hypot(...velocity) > MOVING_MPS) {
       const age = Math.min(ageOf(vehicle, vehicle.position, now_s) ?? 0, CARRIED_S);
@@ -82,7 +85,7 @@ export function sceneOf(state: State, frame: Frame | null, nowMs: number, carry:
       goal: goalOf(vehicle) ?? state.goals.get(name) ?? null,
     });
   });
-  return { bodies, acrossMps, upMps };
+  return { bodies, acrossMps, upMps, jumps };
 }
 
 /** The place that skygcs' own control steers to; null for axes that follow a velocity. */

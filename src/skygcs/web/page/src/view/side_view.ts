@@ -4,15 +4,16 @@ import { lengthText, niceLengthM, toScreenX, type Camera } from "./camera.ts";
 import { colourOfShape, haloText, lineAcross, lineDown, type Colours } from "./drawing.ts";
 import type { Overlay } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
-import { Paths } from "./paths.ts";
 import type { Body } from "./scene.ts";
-import type { Pen } from "./sprites.ts";
+import type { Pen, Sprites } from "./sprites.ts";
 
 /** Of a low view, as on a phone that lies on its side, a quarter. */
 const SIDE_PX = 120;
 const LEAST_SIDE_PX = 64;
 const BASE_PX = 18;
 const LEAST_TOP_M = 12;
+const BODY_PX = 4.5;
+const SELECTED_PX = 5.5;
 
 /** How high the strip is in a view of this height. */
 export function sidePxOf(heightPx: number): number {
@@ -45,50 +46,73 @@ export function topOf(bodies: readonly Pick<Body, "z" | "goal">[], overlays: Ite
   return Math.ceil(wanted / 5) * 5;
 }
 
-export function drawSide(
+/** Where the strip is on the canvas, and its heights. */
+export interface SideScale {
+  topPx: number;
+  heightPx: number;
+  topM: number;
+  pxPerM: number;
+  yOf: (z: number) => number;
+}
+
+export function sideScale(topPx: number, heightPx: number, topM: number): SideScale {
+  const pxPerM = (heightPx - BASE_PX - 8) / topM;
+  return { topPx, heightPx, topM, pxPerM, yOf: (z) => topPx + heightPx - BASE_PX - z * pxPerM };
+}
+
+/** The strip without vehicles. */
+export function drawSideGround(
   pen: Pen,
   camera: Camera,
-  topPx: number,
-  sidePx: number,
-  topM: number,
+  side: SideScale,
   palette: Palette,
-  bodies: readonly Body[],
-  colourOf: (body: Body) => string,
   overlays: Iterable<Overlay>,
   colours: Colours,
 ): void {
-  const pxPerM = (sidePx - BASE_PX - 8) / topM;
-  const groundPx = topPx + sidePx - BASE_PX;
-  const yOf = (z: number): number => groundPx - z * pxPerM;
+  within(pen, camera, side, () => {
+    pen.fillStyle = palette.surface;
+    pen.fillRect(0, side.topPx, camera.widthPx, side.heightPx);
+    heightLines(pen, camera, palette, side);
+    for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, colours, side);
+  });
+}
+
+/** The vehicles, each at its height on a line from the ground. */
+export function drawSideBodies(
+  pen: Pen,
+  camera: Camera,
+  side: SideScale,
+  palette: Palette,
+  bodies: readonly Body[],
+  colourOf: (body: Body) => string,
+  sprites: Sprites,
+): void {
+  within(pen, camera, side, () => {
+    pen.fillStyle = palette.axis;
+    for (const body of bodies) lineDown(pen, toScreenX(camera, body.x), side.yOf(0), side.yOf(body.z));
+    for (const body of bodies) {
+      const radiusPx = body.selected ? SELECTED_PX : BODY_PX;
+      const colour = colourOf(body);
+      sprites.draw(pen, `side${radiusPx}${colour}`, radiusPx + 1, toScreenX(camera, body.x), side.yOf(body.z), (on) => {
+        on.fillStyle = colour;
+        on.beginPath();
+        on.arc(0, 0, radiusPx, 0, 7);
+        on.fill();
+      });
+    }
+  });
+}
+
+function within(pen: Pen, camera: Camera, { topPx, heightPx }: SideScale, drawing: () => void): void {
   pen.save();
   pen.beginPath();
-  pen.rect(0, topPx, camera.widthPx, sidePx);
+  pen.rect(0, topPx, camera.widthPx, heightPx);
   pen.clip();
-  pen.fillStyle = palette.surface;
-  pen.fillRect(0, topPx, camera.widthPx, sidePx);
-  heightLines(pen, camera, palette, topM, pxPerM, yOf);
-  for (const overlay of overlays) drawPaths(pen, camera, palette, overlay, colours, yOf);
-  drawStems(pen, camera, palette, bodies, yOf);
-  const paths = new Paths();
-  for (const body of bodies) {
-    const path = paths.of(colourOf(body));
-    const x = toScreenX(camera, body.x);
-    const y = yOf(body.z);
-    path.moveTo(x + 4.5, y);
-    path.arc(x, y, body.selected ? 5.5 : 4.5, 0, 7);
-  }
-  paths.fill(pen);
+  drawing();
   pen.restore();
 }
 
-function heightLines(
-  pen: Pen,
-  camera: Camera,
-  palette: Palette,
-  topM: number,
-  pxPerM: number,
-  yOf: (z: number) => number,
-): void {
+function heightLines(pen: Pen, camera: Camera, palette: Palette, { topM, pxPerM, yOf }: SideScale): void {
   const step = niceLengthM(pxPerM, 44);
   pen.fillStyle = palette.gridMajor;
   for (let z = step; z <= topM; z += step) lineAcross(pen, camera, yOf(z));
@@ -103,12 +127,7 @@ function heightLines(
   }
 }
 
-function drawStems(pen: Pen, camera: Camera, palette: Palette, bodies: readonly Body[], yOf: (z: number) => number): void {
-  pen.fillStyle = palette.axis;
-  for (const body of bodies) lineDown(pen, toScreenX(camera, body.x), yOf(0), yOf(body.z));
-}
-
-function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, colours: Colours, yOf: (z: number) => number): void {
+function drawPaths(pen: Pen, camera: Camera, palette: Palette, overlay: Overlay, colours: Colours, { yOf }: SideScale): void {
   for (const shape of overlay.shapes) {
     if (shape.kind !== "path" || shape.ink === "fence") continue;
     pen.strokeStyle = colourOfShape(shape, palette, colours);
