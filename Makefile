@@ -48,10 +48,9 @@ coverage: $(STAMP)
 	$(BIN)/pytest -q -n auto --dist worksteal tests/unit tests/integration --cov --cov-report=term
 
 # make test at length: whole tables, all seeds, ten times the examples, the other event loop; EXAMPLES=100 SEARCH=1.
-# PASSED=file: `make test PASSED=file` notes there what it passed, and this leaves it out. Beside other lanes of CI it yields:
-# what takes half a minute alone may take several
+# PASSED=file: `make test PASSED=file` notes there what it passed, and this leaves it out. SHARE=0/3: the first third
 test-deep: $(TEST)
-	SKYGCS_TEST_EXAMPLES=$(or $(EXAMPLES),10) $(BIN)/pytest --timeout 1800 -n auto --dist worksteal tests/unit tests/integration --deep $(if $(PASSED),--passed-before $(PASSED))
+	SKYGCS_TEST_EXAMPLES=$(or $(EXAMPLES),10) $(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration --deep $(if $(PASSED),--passed-before $(PASSED)) $(if $(SHARE),--share $(SHARE))
 
 # Real processes, sockets and ptys in real time: most of it is waiting
 test-system: $(TEST)

@@ -133,6 +133,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     parser.addoption("--passed-to", type=Path, help="write the node ids of what passed into this file")
     parser.addoption("--passed-before", type=Path, help="with --deep: leave out what such a file says has passed")
+    parser.addoption("--share", help="2/3: the third of three shares of the tests, by their names; counted from 0")
     parser.addoption("--costs", action="store_true", help="print the CPU and wall time of each test file")
 
 
@@ -204,6 +205,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         _keep(config, items, [item for item in items if id(item) not in left_out])
     if deep and (passed_before := config.getoption("--passed-before")) is not None:
         _keep(config, items, left_to_run(items, set(passed_before.read_text().splitlines()), ON_UVLOOP))
+    if share := config.getoption("--share"):
+        number, shares = (int(word) for word in share.split("/"))
+        _keep(config, items, [item for item in items if zlib.crc32(item.nodeid.encode()) % shares == number])
 
 
 def _keep(config: pytest.Config, items: list[pytest.Item], kept: list[pytest.Item]) -> None:

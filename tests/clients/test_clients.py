@@ -17,7 +17,7 @@ from clients.environments import CLIENTS
 from clients.flights import PROGRAM_OF, Flight, fly
 from support.process import DaemonProcess, wait_until
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.system
 
 SYSIDS = {"px4": 1, "ardupilot": 2}
 """Of simulated vehicles: PX4s come first."""

@@ -10,6 +10,7 @@ from typing import Any
 from skygcs.rpc.client_connection import Subscription
 from support.fake_daemon import FakeDaemon
 from support.federated import site
+from support.hanging import HANG_S
 from support.hub import Hub
 
 ONE_PLACE = {"vehicles": {"bravo": {"home": "north"}}}
@@ -37,7 +38,7 @@ async def test_a_conflict_across_sites_is_an_event_everywhere_and_in_the_list_of
         # both listen before the other site comes: it is an event once
         listening = [asyncio.create_task(anext(conflicts_of(gcs.events("*/all")))) for gcs in (visitor, at_north)]
         await asyncio.sleep(0.5)
-        async with site(hub, "south", tmp_path, daemon=south) as b, b.client() as at_south, asyncio.timeout(60):
+        async with site(hub, "south", tmp_path, daemon=south) as b, b.client() as at_south, asyncio.timeout(HANG_S):
             seen, at_home = await asyncio.gather(*listening)
             assert seen["site"] in ("north", "south")
             found: set[tuple[str, ...]] = set()
@@ -74,7 +75,7 @@ async def test_a_vehicle_that_two_sites_hear_is_in_no_conflict_with_itself(hub: 
         fleet = FleetConfig.model_validate({"vehicles": vehicles})
         fleet = Federation.applied(FederationConfig.model_validate(table), fleet)
         again = ConflictWatch(fleet, watch._own, watch._sites, watch._clock, watch._send)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(HANG_S):
             while not again.described():
                 await again.evaluate()
                 await asyncio.sleep(0.2)

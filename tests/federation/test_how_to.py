@@ -19,7 +19,8 @@ import aiohttp
 
 from skygcs.errors import SkygcsError
 from skygcs.web.control_socket import ask_for_link, find_control
-from support.process import ROOT, TIMEOUT_S, free_port, wait_until
+from support.hanging import HANG_S
+from support.process import ROOT, free_port, wait_until
 
 PAGE = ROOT / "docs" / "howto" / "federation.md"
 CLI = str(Path(sys.executable).with_name("skygcs-cli"))
@@ -50,7 +51,7 @@ def two_sites(folder: Path) -> Iterator[None]:
         for process in processes:
             process.send_signal(signal.SIGTERM)
         for process in processes:
-            process.communicate(timeout=TIMEOUT_S)
+            process.communicate(timeout=HANG_S)
     assert [process.returncode for process in processes] == [0, 0, 0]
 
 
@@ -70,7 +71,7 @@ def until_done(line: list[str], folder: Path) -> str:
     """What the command prints once it succeeds: a vehicle that was just started takes off when it has a position."""
 
     def done() -> str | None:
-        run = subprocess.run([CLI, *line[1:]], cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S)
+        run = subprocess.run([CLI, *line[1:]], cwd=folder, capture_output=True, text=True, timeout=HANG_S)
         return run.stdout + run.stderr if run.returncode == 0 else None
 
     return str(wait_until(done, " ".join(line)))
@@ -102,7 +103,7 @@ async def seen_on_the_page(folder: Path) -> set[str]:
     process = await asyncio.create_subprocess_exec(*line, cwd=folder, stdout=subprocess.DEVNULL)
     base, names = f"http://127.0.0.1:{port}", set[str]()
     try:
-        async with asyncio.timeout(TIMEOUT_S), aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as http:
+        async with asyncio.timeout(HANG_S), aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as http:
             address = await asyncio.to_thread(wait_until, lambda: link(path, port), "the page's address")
             await http.get(address, allow_redirects=False)
             page = await http.ws_connect(f"{base}/ws", origin=base, max_msg_size=0)

@@ -19,8 +19,9 @@ import pytest
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.federation.bridge.process import cancelled
 from support.certificates import Authority
+from support.hanging import HANG_S
 from support.hub import Hub
-from support.process import TIMEOUT_S, DaemonProcess, free_port, wait_until
+from support.process import DaemonProcess, free_port, wait_until
 
 SIM = """
 [links.sim]
@@ -39,7 +40,7 @@ def federation(*words: str, **options: Any) -> subprocess.Popen[str]:
 
 def ended(process: subprocess.Popen[str]) -> str:
     """What it wrote until its end."""
-    return process.communicate(timeout=TIMEOUT_S)[0]
+    return process.communicate(timeout=HANG_S)[0]
 
 
 def children(pid: int) -> list[int]:
@@ -240,6 +241,6 @@ async def test_parts_end_although_the_daemon_goes_at_the_moment_of_their_cancell
     task.cancel()
     await asyncio.sleep(0.05)
     assert not task.done()  # one cancellation is not enough
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(HANG_S):
         await cancelled([task])
     assert task.cancelled()

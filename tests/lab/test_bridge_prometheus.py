@@ -19,6 +19,7 @@ from skygcs.errors import SkygcsError
 from skygcs.ext.federation.server_program import find_server
 from support.fake_daemon import FakeDaemon
 from support.federated import site
+from support.hanging import HANG_S
 from support.hub import Hub, until
 from support.needed import needs
 from support.process import free_port
@@ -64,17 +65,16 @@ class Prometheus:
 
     async def becomes(self, expression: str, wanted: float) -> None:
         """Return when it has this value."""
-        async with asyncio.timeout(60.0):
+        async with asyncio.timeout(HANG_S):
             while await self.value(expression) != wanted:  # noqa: ASYNC110 - it signals nothing
                 await asyncio.sleep(0.2)
 
 
 def _data(url: str) -> Any:
-    with urllib.request.urlopen(url, timeout=30) as answer:
+    with urllib.request.urlopen(url, timeout=HANG_S) as answer:
         return json.load(answer)["data"]
 
 
-@pytest.mark.timeout(300)
 async def test_prometheus_has_the_numbers_of_a_bridge_and_the_alerts(tmp_path: Path) -> None:
     try:
         find_server()

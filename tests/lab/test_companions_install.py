@@ -25,8 +25,6 @@ from skygcs.ext.companions.bring_up.bundle import Bundle, read_bundle
 from skygcs.ext.companions.bring_up.ssh_session import UPLOAD_BYTES
 from support.needed import needs
 
-pytestmark = pytest.mark.timeout(1200)
-
 SYSID = 3
 CONFIG = """
 [daemon]

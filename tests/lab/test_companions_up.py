@@ -18,8 +18,6 @@ from skygcs.cli.service import Installation, unit_text
 from support.needed import needs
 from support.process import free_port, wait_until
 
-pytestmark = pytest.mark.timeout(1200)
-
 NAMES = ("alpha", "bravo", "carol", "delta", "echo", "fox", "golf", "hotel", "india", "juliet")
 UNREACHABLE, NEW_KEY, FULL, OTHER_VERSION = "bravo", "delta", "fox", "hotel"
 BROKEN = {UNREACHABLE, NEW_KEY, FULL, OTHER_VERSION}

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from support.hanging import HANG_S
 from support.needed import needs
 from support.process import free_port, wait_until
 
@@ -81,7 +82,7 @@ class Lab:
         request = urllib.request.Request(
             f"http://127.0.0.1:{self.port}/metrics", headers={"Authorization": "Bearer 0123456789abcdef0123"}
         )
-        with urllib.request.urlopen(request, timeout=30) as answer:
+        with urllib.request.urlopen(request, timeout=HANG_S) as answer:
             return str(answer.read().decode())
 
     def start_prometheus(self) -> None:
@@ -96,7 +97,7 @@ class Lab:
 
     def ask(self, path: str, **query: str) -> Any:
         url = f"http://127.0.0.1:{self.web}/api/v1/{path}?{urllib.parse.urlencode(query)}"
-        with urllib.request.urlopen(url, timeout=30) as answer:
+        with urllib.request.urlopen(url, timeout=HANG_S) as answer:
             body = json.load(answer)
         assert body["status"] == "success", body
         return body["data"]
@@ -155,7 +156,6 @@ def test_promtool_accepts_the_alert_rules(tmp_path: Path) -> None:
     assert check.returncode == 0, check.stdout + check.stderr
 
 
-@pytest.mark.timeout(900)
 def test_prometheus_scrapes_the_daemon_and_answers_every_query_of_the_dashboard(lab: Lab) -> None:
     cli = str(Path(sys.executable).with_name("skygcs-cli"))
     refused = [cli, "--socket", str(lab.folder / "s"), "mode", "v1", "NO SUCH MODE"]

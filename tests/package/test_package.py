@@ -26,8 +26,6 @@ pages. Measured: 2.62 MB."""
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 """The documentation."""
 
-pytestmark = pytest.mark.timeout(900)
-
 
 def run(*words: str | Path, cwd: Path, **environment: str) -> str:
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("SKYGCS", "PYTHON", "VIRTUAL_ENV"))}

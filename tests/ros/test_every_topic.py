@@ -30,7 +30,6 @@ SUCCEEDED, CANCELED = 4, 5
 """action_msgs' GoalStatus."""
 
 
-pytestmark = pytest.mark.timeout(1200)
 """Three vehicles fly twice, in real time."""
 
 

@@ -40,7 +40,6 @@ class Attacked(PlayedFleet):
         return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
 
 
-pytestmark = pytest.mark.timeout(1200)
 """Two attacks, each of a minute."""
 
 

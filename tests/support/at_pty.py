@@ -10,6 +10,7 @@ from pathlib import Path
 from skygcs.ext.radio_tools.port import EmulatedPair, EmulatedPort
 from skygcs.sim.at_modem import AtRadio
 from skygcs.sim.radio_pair import RadioPair
+from support.hanging import HANG_S
 
 
 @contextmanager
@@ -21,7 +22,7 @@ def on_a_pty(path: Path, radio: AtRadio) -> Iterator[AtRadio]:
         yield radio
     finally:
         port.stop()
-        server.join(timeout=60)
+        server.join(timeout=HANG_S)
         port.close()
 
 
@@ -34,5 +35,5 @@ def a_pair_on_ptys(paths: tuple[Path, Path], pair: RadioPair) -> Iterator[RadioP
         yield pair
     finally:
         ports.stop()
-        server.join(timeout=60)
+        server.join(timeout=HANG_S)
         ports.close()

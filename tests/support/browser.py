@@ -7,17 +7,16 @@ from typing import Any
 
 from playwright.sync_api import Page, expect
 
-LIMIT_S = 60.0
-"""A hang, not a measure: a busy machine takes long."""
+from support.hanging import HANG_S
 
-expect.set_options(timeout=LIMIT_S * 1000)
+expect.set_options(timeout=HANG_S * 1000)
 
 
 def until(page: Page, expression: str) -> Any:
     """Wait until a JavaScript expression is true; what it then is. Fails with the expression."""
     if "skygcs" in expression:  # the page defines it with its first drawing, which may come after its load
         expression = f"'skygcs' in window && ({expression})"
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + HANG_S
     while not (value := page.evaluate(expression)):
         assert time.monotonic() < deadline, f"never true: {expression}"
         page.wait_for_timeout(50)

@@ -20,6 +20,7 @@ from typing import Any
 from pymavlink.quaternion import Quaternion
 
 from support.firmware_field import HOME, PARAMS, Field
+from support.hanging import HANG_S
 from support.process import free_port
 
 BODY = "quad"
@@ -251,4 +252,4 @@ autopilot = "{self.firmware}"
         (pid,) = self.firmware_pids()
         words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
         command = [str(Path(words[0]).parent / "px4-listener"), "--instance", words[words.index("-i") + 1], topic]
-        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+        return subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=True).stdout

@@ -16,10 +16,8 @@ from skygcs.ext.federation.bridge.bus import Bus, BusOptions
 from skygcs.ext.federation.bridge.hub_process import HubProcess, make_stores
 from skygcs.ext.federation.bridge.nkeys_files import StationKey, new_key, read_seed, write_new_seed
 from skygcs.ext.federation.hub_inventory import inventory_of
+from support.hanging import HANG_S
 from support.process import free_port
-
-TIMEOUT_S = 60.0
-"""How long a slow machine may take; not what is tested."""
 
 USERS: dict[str, dict[str, Any]] = {
     "north": {"role": "site", "orders": ["south"]},
@@ -162,7 +160,7 @@ class Hub:
             await asyncio.gather(task, return_exceptions=True)
 
 
-async def until(condition: Any, what: str, timeout_s: float = TIMEOUT_S) -> Any:
+async def until(condition: Any, what: str, timeout_s: float = HANG_S) -> Any:
     """The condition's first true value; fails the test if there is none."""
     loop = asyncio.get_running_loop()
     deadline = loop.time() + timeout_s

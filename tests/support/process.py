@@ -17,9 +17,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from support.hanging import HANG_S
+
 ROOT = Path(__file__).parents[2]
-TIMEOUT_S = 120.0
-"""How long a slow machine may take for something that takes milliseconds; not what is tested."""
 
 
 PORTS = range(20_000, 30_000)
@@ -48,7 +48,7 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 
 def wait_until(condition: Callable[[], Any], what: str) -> Any:
     """The condition's first true value; fails the test with ``what`` if there is none."""
-    deadline = time.monotonic() + TIMEOUT_S
+    deadline = time.monotonic() + HANG_S
     while time.monotonic() < deadline:
         value = condition()
         if value:
@@ -61,9 +61,9 @@ def call_socket(path: Path, method: str, **params: Any) -> Any:
     """One JSON-RPC call over a plain socket, independent of the client library."""
     with socket.socket(socket.AF_UNIX) as link:
         # Not settimeout: connect would then fail with EAGAIN at once while the listen queue is full
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(TIMEOUT_S), 0))
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(HANG_S), 0))
         link.connect(str(path))
-        link.settimeout(TIMEOUT_S)
+        link.settimeout(HANG_S)
         link.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
         with link.makefile("rb") as lines:
             answer = json.loads(lines.readline())
@@ -162,7 +162,7 @@ class DaemonProcess:
     def known(self) -> int:
         return int(self.call("daemon.info")["vehicles"])
 
-    def cli(self, *words: str, timeout_s: float = TIMEOUT_S) -> subprocess.CompletedProcess[str]:
+    def cli(self, *words: str, timeout_s: float = HANG_S) -> subprocess.CompletedProcess[str]:
         """`skygcs-cli` against this daemon."""
         return subprocess.run(self.command(*words), capture_output=True, text=True, timeout=timeout_s, check=False)
 
@@ -180,7 +180,7 @@ class DaemonProcess:
         if self.process is not None and self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(TIMEOUT_S)
+                self.process.wait(HANG_S)
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()

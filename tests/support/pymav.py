@@ -7,6 +7,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from support.hanging import HANG_S
+
 
 class _Outbox:
     """What pymavlink believes is a file."""
@@ -84,7 +86,7 @@ class TcpPeer(PymavPeer):
 
     def __init__(self, sysid: int, compid: int, port: int) -> None:
         super().__init__(sysid, compid)
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=HANG_S)
         self.socket.setblocking(False)
 
     def send(self, data: bytes) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import aiohttp
 
+from support.hanging import HANG_S
 from support.web_station import WebStation
 
 
@@ -85,7 +86,7 @@ async def page_of(station: WebStation, role: Any = "command", *, ws: bool = True
 
 def raw(station: WebStation, request: str) -> str:
     """What a plain socket gets for these bytes."""
-    with socket.create_connection(("127.0.0.1", station.port), timeout=30) as sock:
+    with socket.create_connection(("127.0.0.1", station.port), timeout=HANG_S) as sock:
         sock.sendall(request.encode())
         received = b""
         while b"\r\n\r\n" not in received and (data := sock.recv(65536)):

@@ -14,6 +14,7 @@ from typing import Any
 
 from skygcs.web.control_socket import ask_for_link, find_control
 from skygcs.web.sign_in import Role
+from support.hanging import HANG_S
 from support.process import free_port
 from support.system_programs import PROGRAMS, path_of
 
@@ -151,7 +152,7 @@ class WebStation:
     def call(self, method: str, /, **params: Any) -> Any:
         """One request to the daemon itself, blocking; asserts that it is answered without an error."""
         with socket.socket(socket.AF_UNIX) as sock:
-            sock.settimeout(60)
+            sock.settimeout(HANG_S)
             sock.connect(str(self.socket_path))
             sock.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
             answer = json.loads(sock.makefile("rb").readline())
@@ -183,7 +184,7 @@ def _end(process: subprocess.Popen[bytes] | None, number: int) -> None:
         return
     process.send_signal(number)
     try:
-        process.wait(timeout=30)
+        process.wait(timeout=HANG_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

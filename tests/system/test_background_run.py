@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from support.process import ROOT, TIMEOUT_S
+from support.hanging import HANG_S
+from support.process import ROOT
 
 pytestmark = pytest.mark.system
 
@@ -24,7 +25,7 @@ def test_ctrl_c_is_tested_although_the_shell_ignores_it() -> None:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=TIMEOUT_S,
+        timeout=HANG_S,
         check=False,
     )
     assert done.returncode == 0 and "3 passed" in done.stdout, done.stdout + done.stderr

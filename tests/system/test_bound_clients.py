@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from support.process import TIMEOUT_S, DaemonProcess, free_port, wait_until
+from support.hanging import HANG_S
+from support.process import DaemonProcess, free_port, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -73,7 +74,7 @@ class Script:
 
     def until_answered(self, ask: Any, kind: str, answers: Callable[[Any], bool] = lambda _: True) -> Any:
         """Ask as often as it takes, as scripts over radios do. Other messages of this kind may come meanwhile."""
-        end = time.monotonic() + TIMEOUT_S
+        end = time.monotonic() + HANG_S
         while time.monotonic() < end:
             ask()
             for _ in range(3):
@@ -85,7 +86,7 @@ class Script:
     def meet(self) -> int:
         """The system that the connection found by itself."""
         if self.kind == "udp_client":  # it is written to: a script may just listen, as many do
-            assert self.connection.wait_heartbeat(timeout=TIMEOUT_S) is not None
+            assert self.connection.wait_heartbeat(timeout=HANG_S) is not None
         else:
             self.until_answered(self.heartbeat, "HEARTBEAT")
         self.heartbeat()

@@ -12,13 +12,12 @@ from pathlib import Path
 import pytest
 
 from skygcs.cli.options import WAIT_VARIABLE
+from support.hanging import HANG_S
 
 pytestmark = pytest.mark.system
 
 TESTS = Path(__file__).parents[1]
 CLI = [sys.executable, "-c", "from skygcs.cli.main import main; main()"]
-TIMEOUT_S = 60
-"""How long a busy machine may take for something that takes milliseconds; not what is tested."""
 
 
 class Served:
@@ -44,7 +43,7 @@ class Served:
 
     def run(self, *args: str, **environment: str) -> tuple[int, str, str]:
         process = self.start(*args, **environment)
-        out, err = process.communicate(timeout=TIMEOUT_S)
+        out, err = process.communicate(timeout=HANG_S)
         return process.returncode, out, err
 
     def stop(self) -> None:
@@ -78,7 +77,7 @@ def test_a_reader_that_leaves_ends_it_quietly(served: Served, args: tuple[str, .
     process.stdout.close()
     assert process.stderr.read() == ""
     process.stderr.close()
-    assert process.wait(TIMEOUT_S) == 0
+    assert process.wait(HANG_S) == 0
 
 
 @pytest.mark.parametrize("args", [("watch",), ("message", "watch"), ("events", "-f")])
@@ -87,7 +86,7 @@ def test_ctrl_c_ends_it_quietly(served: Served, args: tuple[str, ...]) -> None:
     assert process.stdout is not None
     assert process.stdout.readline()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=TIMEOUT_S)
+    _, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, err) == (130, "")
 
 
@@ -97,7 +96,7 @@ def test_a_daemon_that_dies_is_said(tmp_path: Path) -> None:
     assert process.stdout is not None
     process.stdout.readline()
     served.stop()
-    _, err = process.communicate(timeout=TIMEOUT_S)
+    _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 3 and "no skygcs daemon" in err and "Traceback" not in err
     assert served.run("status")[0] == 3  # the dead daemon's socket is still there
 

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.system
 
 
 def test_a_daemon_that_is_late_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "TIMEOUT_S", 0.0)
+    monkeypatch.setattr(process, "HANG_S", 0.0)
     daemon = DaemonProcess(tmp_path, "")
     with pytest.raises(AssertionError, match="the daemon answers"), daemon:
         pass

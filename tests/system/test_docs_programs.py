@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from support.process import ROOT, TIMEOUT_S, DaemonProcess, free_port, wait_until
+from support.hanging import HANG_S
+from support.process import ROOT, DaemonProcess, free_port, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -95,14 +96,14 @@ def test_the_first_program_takes_off_and_prints_heights(page: str, daemon: Daemo
         wait_until(lambda: min(altitude_m(daemon, n) for n in ("alpha", "bravo")) > 4.0, "both have taken off")
     finally:
         process.send_signal(signal.SIGINT)
-        out, _ = process.communicate(timeout=TIMEOUT_S)
+        out, _ = process.communicate(timeout=HANG_S)
     assert re.search(r"^alpha \d", out, re.M) and re.search(r"^bravo \d", out, re.M), out
 
 
 def test_the_program_of_the_rpc_page_takes_off_and_lands(daemon: DaemonProcess) -> None:
     (program,) = python_blocks("docs/reference/rpc.md")
     process = start(program, daemon)
-    _, err = process.communicate(timeout=TIMEOUT_S)
+    _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 0, err
     assert daemon.vehicles()["alpha"]["mode"] == "AUTO.LAND"
 
@@ -113,7 +114,7 @@ def test_the_circle_is_flown(daemon: DaemonProcess) -> None:
     wait_until(lambda: daemon.vehicles()["alpha"]["mode"] == "AUTO.LOITER", "its take-off has ended")
     assert "range(60 * RATE_HZ)" in program
     process = start(program.replace("range(60 * RATE_HZ)", "range(6 * RATE_HZ)"), daemon)
-    _, err = process.communicate(timeout=TIMEOUT_S)
+    _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 0, err
     reference = daemon.call("control.status", targets="alpha")[0]["reference"]
     assert reference is not None and abs(reference["pos_enu_m"][2] - 10.0) < 2.0
@@ -125,6 +126,6 @@ def test_the_pymavlink_program_arms_its_vehicle(daemon: DaemonProcess) -> None:
     assert port is not None
     wait_until(lambda: daemon.cli("preflight", "bravo").returncode == 0, "bravo is ready")
     process = start(program.replace("14561", port[1]), daemon)
-    out, err = process.communicate(timeout=TIMEOUT_S)
+    out, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 0, err
     assert "COMMAND_ACK" in out and "result : 0" in out, out

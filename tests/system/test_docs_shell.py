@@ -204,7 +204,6 @@ def test_nothing_is_left_out_that_is_not_there() -> None:
     assert [words for words in NOT_RUN if not any(f"{line} ".startswith(f"{words} ") for line in known)] == []
 
 
-@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("page", PAGES_RUN)
 def test_the_commands_of_the_page_do_what_they_do_there(page: str, daemon: DaemonProcess) -> None:
     environment = {**os.environ, "SKYGCS_SOCKET": str(daemon.socket)}

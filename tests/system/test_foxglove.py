@@ -17,6 +17,7 @@ from skygcs.daemon import Daemon
 from skygcs.ext.logs.foxglove import serve
 from skygcs.ext.logs.foxglove_schemas import SCHEMAS
 from skygcs.rpc.client import connect
+from support.hanging import HANG_S
 
 pytestmark = pytest.mark.system
 
@@ -61,7 +62,7 @@ async def test_the_fleet_is_seen_live(tmp_path: Path) -> None:
     try:
         async with connect(tmp_path / "s") as gcs:
             serving = asyncio.create_task(serve(gcs, "all", "127.0.0.1", 0, 10.0, ports.put_nowait))
-            async with asyncio.timeout(100):
+            async with asyncio.timeout(HANG_S):
                 channels, got = await read(await ports.get())
             serving.cancel()
             with contextlib.suppress(asyncio.CancelledError):

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from support.process import TIMEOUT_S, DaemonProcess, wait_until
+from support.hanging import HANG_S
+from support.process import DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -98,7 +99,7 @@ class Flown:
         return "stood still" in log or "no answer within" in log
 
     def ended(self) -> int:
-        return self.process.wait(TIMEOUT_S)
+        return self.process.wait(HANG_S)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from support.process import TIMEOUT_S, DaemonProcess, wait_until
+from support.hanging import HANG_S
+from support.process import DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -56,7 +57,7 @@ def interrupted(daemon: DaemonProcess, name: str, *words: str, percent: int = 10
 
     wait_until(far_enough, "the transfer is under way")
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=TIMEOUT_S)
+    out, _ = process.communicate(timeout=HANG_S)
     return process.returncode, out
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.plan.plan_json import write_plan_json
+from support.hanging import HANG_S
 from support.planned import SLOW, timed
 
 pytestmark = pytest.mark.system
@@ -81,7 +82,7 @@ class Field:
 
     def stop(self) -> None:
         self.daemon.send_signal(signal.SIGTERM)
-        self.daemon.wait(timeout=60)
+        self.daemon.wait(timeout=HANG_S)
 
 
 @pytest.fixture

@@ -19,8 +19,9 @@ from skygcs.sim.radio_pair import RadioPair
 from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import TdmConfig
 from support.at_pty import a_pair_on_ptys
+from support.hanging import HANG_S
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 """Guard times are real: reading both radios takes ten seconds."""
 
 CLI = str(Path(sys.executable).with_name("skygcs-cli"))
@@ -49,7 +50,7 @@ def begun(folder: Path, *words: str) -> subprocess.Popen[str]:
 def cli(folder: Path, *words: str, code: int = 0) -> str:
     """The output of `radio measure WORDS`, beside no daemon."""
     work = begun(folder, *words)
-    output = work.communicate(timeout=110)[0]
+    output = work.communicate(timeout=HANG_S)[0]
     assert work.returncode == code, output
     return output
 
@@ -82,7 +83,7 @@ def test_an_interrupted_run_writes_nothing(tmp_path: Path, bench: Bench, how: si
     while not pair._air.stats(0).sent_frames and time.monotonic() < deadline:
         time.sleep(0.1)
     work.send_signal(how)
-    work.communicate(timeout=30)
+    work.communicate(timeout=HANG_S)
     assert work.returncode not in (0, 1)
     assert [path.name for path in tmp_path.iterdir() if "toml" in path.name] == []
     assert not any(radio.command_mode for radio in pair.radios)

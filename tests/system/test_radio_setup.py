@@ -15,9 +15,10 @@ import serial
 
 from skygcs.sim.at_modem import AtRadio, Faults
 from support.at_pty import on_a_pty
+from support.hanging import HANG_S
 from support.process import DaemonProcess, wait_until
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 """Guard times and restarts are real: a visit takes four seconds, a change nine."""
 
 CLI = str(Path(sys.executable).with_name("skygcs-cli"))
@@ -30,7 +31,7 @@ def cli(folder: Path, *words: str | Path, code: int = 0) -> str:
         env={**os.environ, "SKYGCS_SOCKET": str(folder / "nobody.sock")},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANG_S,
         check=False,
     )
     assert done.returncode == code, done.stdout + done.stderr
@@ -99,7 +100,7 @@ def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_cam
         radio.faults.silent = False
         time.sleep(0.1)
         work.send_signal(how)
-        _, told = work.communicate(timeout=120)
+        _, told = work.communicate(timeout=HANG_S)
         assert work.returncode == 130
         assert "interrupted" in told
         assert "written: NETID; perhaps written: AIR_SPEED" in " ".join(told.split())

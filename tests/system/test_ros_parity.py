@@ -163,7 +163,6 @@ def wait_for(check: Check, vehicle: str, daemon: DaemonProcess, label: str) -> N
         time.sleep(0.05)
 
 
-@pytest.mark.timeout(600)
 def test_every_command_of_the_page_does_what_the_page_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_examples(tmp_path)
     with DaemonProcess(tmp_path, simulated_fleet()) as daemon:

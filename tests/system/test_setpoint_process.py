@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from support.hanging import HANG_S
+
 pytestmark = pytest.mark.system
 
 TESTS = Path(__file__).parents[1]
 CLI = [sys.executable, "-c", "from skygcs.cli.main import main; main()"]
-TIMEOUT_S = 60
 
 
 class Served:
@@ -52,7 +53,7 @@ def served(tmp_path: Path) -> Iterator[Served]:
 
 def test_a_program_piped_in_is_flown_to_its_end(served: Served) -> None:
     process = served.start("setpoint", "alpha", "--stdin", "--rate", "50")
-    out, err = process.communicate('{"pos": [1, 2, 5]}\nnonsense\n{"pos": [1, 3, 5]}', timeout=TIMEOUT_S)
+    out, err = process.communicate('{"pos": [1, 2, 5]}\nnonsense\n{"pos": [1, 3, 5]}', timeout=HANG_S)
     assert process.returncode == 1
     assert out.startswith("2 setpoints in 0.") and "wrong lines: 1" in out
     assert "alpha stays where it is from 0.5 s after the last setpoint on" in out
@@ -69,7 +70,7 @@ def test_a_file_is_flown_at_a_rate(served: Served, tmp_path: Path) -> None:
             stdin=file,
             capture_output=True,
             text=True,
-            timeout=TIMEOUT_S,
+            timeout=HANG_S,
         )
     assert done.returncode == 0, done.stderr
     assert '"sent": 300,' in done.stdout
@@ -85,7 +86,7 @@ def test_ctrl_c_ends_the_stream_and_says_what_the_vehicle_does(served: Served, a
     served.wait_for("alpha setpoint")
     served.wait_for("alpha setpoint")  # sent once the first was answered
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=TIMEOUT_S)
+    out, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
     assert "Traceback" not in err and "setpoint" in out
     assert "alpha stays where it is" in out
@@ -97,7 +98,7 @@ def test_ctrl_c_during_a_table_says_that_they_fly_on(served: Served, tmp_path: P
     process = served.start("table", str(path), "final", "--arrive", "1e-9")
     served.wait_for("alpha goto")
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=TIMEOUT_S)
+    _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 130 and "the vehicles fly on to their positions" in err
 
 
@@ -109,5 +110,5 @@ def test_registering_the_commands_imports_nothing_that_they_need() -> None:
         "         'skygcs.cli.setpoint', 'skygcs.ext.plans.commands.table', 'skygcs.ext.logs.trace_plot')\n"
         "print([m for m in heavy if m in sys.modules])\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=HANG_S, check=True)
     assert done.stdout.strip() == "[]"

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from support.process import ROOT, TIMEOUT_S, DaemonProcess, free_port, wait_until
+from support.hanging import HANG_S
+from support.process import ROOT, DaemonProcess, free_port, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -138,7 +139,7 @@ def test_sigterm_with_a_vehicle_that_is_gone_ends_it_all_the_same(tmp_path: Path
         open_.clear()
         assert daemon.process is not None
         daemon.process.send_signal(signal.SIGTERM)
-        assert daemon.process.wait(TIMEOUT_S) == 0
+        assert daemon.process.wait(HANG_S) == 0
         assert "NOT AS BEFORE" in daemon.stderr
         assert len(list((daemon.logs / "undo").glob("*.json"))) == 1
     finally:

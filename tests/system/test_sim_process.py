@@ -16,7 +16,8 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from support.process import ROOT, TIMEOUT_S, free_port, wait_until
+from support.hanging import HANG_S
+from support.process import ROOT, free_port, wait_until
 
 pytestmark = pytest.mark.system
 SPEEDUP = 10.0
@@ -64,13 +65,13 @@ def lines(process: subprocess.Popen[str], count: int) -> list[str]:
 
 def await_message(connection: Any, name: str, sysid: int, good: Callable[[Any], bool] = lambda m: True) -> Any:
     """The next message of that kind that will do; heartbeats go up meanwhile, as from any ground station."""
-    deadline = time.monotonic() + TIMEOUT_S
+    deadline = time.monotonic() + HANG_S
     while time.monotonic() < deadline:
         message = connection.recv_match(type=name, blocking=True, timeout=0.2)
         connection.mav.heartbeat_send(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE)
         if message is not None and message.get_srcSystem() == sysid and good(message):
             return message
-    raise AssertionError(f"no {name} of {sysid} in {TIMEOUT_S} s that would do")
+    raise AssertionError(f"no {name} of {sysid} in {HANG_S} s that would do")
 
 
 def order(connection: Any, sysid: int, command: int, *params: float) -> int:
@@ -100,7 +101,7 @@ def fly(connection: Any, px4: int, copter: int) -> None:
 
 def end(process: subprocess.Popen[str], number: signal.Signals = signal.SIGTERM) -> None:
     process.send_signal(number)
-    assert process.wait(TIMEOUT_S) == 0
+    assert process.wait(HANG_S) == 0
     assert process.stderr is not None and process.stderr.read() == ""
 
 
@@ -152,7 +153,7 @@ def test_over_a_pty_there_is_a_radio_and_the_symlink_goes_with_the_process(
 def test_with_separate_ports_each_vehicle_has_its_own_socket(start: Callable[..., subprocess.Popen[str]]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
-        listener.settimeout(TIMEOUT_S)
+        listener.settimeout(HANG_S)
         process = start("--udp", f"127.0.0.1:{listener.getsockname()[1]}", "--px4", "2", "--separate-ports")
         ports = [int(line.rsplit(" ", 1)[1]) for line in lines(process, 3)]
         assert len(set(ports)) == 3
@@ -183,7 +184,7 @@ def test_what_cannot_be_done_is_said_in_one_line(
     start: Callable[..., subprocess.Popen[str]], options: tuple[str, ...], complaint: str
 ) -> None:
     process = start(*options)
-    out, err = process.communicate(timeout=TIMEOUT_S)
+    out, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 1
     assert complaint in err and err.count("\n") == 1 and out == ""
 
@@ -194,7 +195,7 @@ def test_a_file_in_the_place_of_the_symlink_is_left_alone(
     path = tmp_path / "data"
     path.write_text("precious")
     process = start("--pty", str(path))
-    _, err = process.communicate(timeout=TIMEOUT_S)
+    _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 1 and "not a symlink" in err
     assert path.read_text() == "precious"
 

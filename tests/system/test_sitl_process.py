@@ -14,7 +14,8 @@ import pytest
 
 from skygcs.config.loader import load_fleet
 from support.fake_firmware import make_copter, make_px4
-from support.process import ROOT, TIMEOUT_S, DaemonProcess, wait_until
+from support.hanging import HANG_S
+from support.process import ROOT, DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
 Start = Callable[..., subprocess.Popen[str]]
@@ -79,7 +80,7 @@ def test_instances_are_started_reported_ready_and_stopped(start: Start, tmp_path
     assert len(pids) == 3
     assert all(is_alive(pid) for pid in pids)
     process.send_signal(number)
-    assert process.wait(TIMEOUT_S) == 0
+    assert process.wait(HANG_S) == 0
     assert not any(is_alive(pid) for pid in pids)
     assert not fleet.parent.exists()
 
@@ -94,7 +95,7 @@ def test_the_daemon_meets_the_vehicles_by_the_fleet_file(start: Start, tmp_path:
         found = {v["name"]: (v["sysid"], v["autopilot"]) for v in daemon.vehicles().values()}
     assert found == {"px31": (31, "px4"), "copter32": (32, "ardupilot")}
     process.terminate()
-    assert process.wait(TIMEOUT_S) == 0
+    assert process.wait(HANG_S) == 0
     assert (folder / "px31/console.log").is_file()  # a folder of the user's is kept
 
 
@@ -104,7 +105,7 @@ def test_px4_has_its_id_before_the_commander_and_none_of_the_usual_ports(start: 
     process = start("--px4", "1", "--first-sysid", "77", "--folder", str(folder), "--param", "NO_SUCH=1", *options)
     lines_until(process, "all are ready")
     process.terminate()
-    _, stderr = process.communicate(timeout=TIMEOUT_S)
+    _, stderr = process.communicate(timeout=HANG_S)
     assert "px77 has no parameter NO_SUCH" in stderr
     calls = (folder / "px77/calls").read_text().splitlines()
     assert calls.index("param set MAV_SYS_ID 77") < calls.index("commander start")
@@ -116,7 +117,7 @@ def test_px4_has_its_id_before_the_commander_and_none_of_the_usual_ports(start: 
 
 def test_an_instance_that_dies_is_reported_with_its_last_words(start: Start, tmp_path: Path) -> None:
     process = start("--ardupilot", "1", FAKE_COPTER="dies")
-    stdout, stderr = process.communicate(timeout=TIMEOUT_S)
+    stdout, stderr = process.communicate(timeout=HANG_S)
     assert process.returncode == 1
     assert "copter1 exited with 3" in stderr
     assert "panic: no frame" in stderr
@@ -133,7 +134,7 @@ def test_others_live_on_when_one_dies(start: Start) -> None:
     assert "copter2 ended by signal 9" in process.stderr.readline()
     assert is_alive(px4)
     process.terminate()
-    assert process.wait(TIMEOUT_S) == 1
+    assert process.wait(HANG_S) == 1
 
 
 def test_two_launchers_share_no_instance_number(start: Start, tmp_path: Path) -> None:
@@ -173,7 +174,7 @@ def test_no_firmware_outlives_a_killed_launcher(start: Start) -> None:
 )
 def test_what_makes_no_sense_is_refused_in_one_line(start: Start, options: tuple[str, ...], text: str) -> None:
     process = start(*options)
-    _, stderr = process.communicate(timeout=TIMEOUT_S)
+    _, stderr = process.communicate(timeout=HANG_S)
     assert process.returncode == 1
     assert text in stderr
     assert "Traceback" not in stderr
@@ -181,7 +182,7 @@ def test_what_makes_no_sense_is_refused_in_one_line(start: Start, options: tuple
 
 def test_without_binaries_it_says_what_to_set(start: Start) -> None:
     process = start("--px4", "1", SKYGCS_PX4="")
-    _, stderr = process.communicate(timeout=TIMEOUT_S)
+    _, stderr = process.communicate(timeout=HANG_S)
     assert process.returncode == 1
     assert "SKYGCS_PX4" in stderr
     assert "make px4_sitl_default" in stderr

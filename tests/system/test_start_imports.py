@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from support.hanging import HANG_S
+
 pytestmark = pytest.mark.system
 
 HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "lxml", "rich", "typer")
@@ -139,7 +141,7 @@ serve.main(["run", "-q", sys.argv[1]])
 
 def loaded(code: str, *arguments: str) -> list[set[str]]:
     """The words of each line that the code printed, without the first."""
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=100)
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
     return [set(line.split()[1:]) for line in done.stdout.splitlines()]
 
@@ -220,6 +222,6 @@ def test_ctrl_c_during_the_imports_ends_a_program_without_a_traceback(
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=HANG_S,
     )
     assert (done.returncode, done.stderr) == (7 if ignored else -signal.SIGINT, "")

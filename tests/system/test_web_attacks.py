@@ -20,6 +20,7 @@ import pytest
 from skygcs.errors import SkygcsError
 from skygcs.web.browser_connections import MAX_CONNECTIONS
 from skygcs.web.control_socket import ask_for_link, find_control
+from support.hanging import HANG_S
 from support.needed import needs
 from support.process import free_port, wait_until
 from support.web_page import WebPage, page_of, raw, status
@@ -47,7 +48,7 @@ def cookie_of(station: WebStation, role: Any = "command") -> str:
 def opened(station: WebStation, cookie: str) -> socket.socket:
     """A WebSocket whose bytes the test writes itself."""
     key = base64.b64encode(os.urandom(16)).decode()
-    sock = socket.create_connection(("127.0.0.1", station.port), timeout=60)
+    sock = socket.create_connection(("127.0.0.1", station.port), timeout=HANG_S)
     lines = [
         "GET /ws HTTP/1.1",
         f"Host: 127.0.0.1:{station.port}",
@@ -292,7 +293,7 @@ class TlsWeb:
 
     def close(self) -> None:
         self.process.terminate()
-        self.process.wait(timeout=60)
+        self.process.wait(timeout=HANG_S)
         self.log.close()
 
 
@@ -327,7 +328,7 @@ async def test_over_tls_a_page_signs_in_with_a_secure_cookie_and_has_a_websocket
             assert answer.status in (200, 503), "the browser that has its cookie is let in by it"
         async with session.ws_connect(f"{tls_web.base}/ws", ssl=context, origin=tls_web.base) as ws:
             await ws.send_json({"jsonrpc": "2.0", "id": 1, "method": "web.hello"})
-            hello = await ws.receive_json(timeout=60)
+            hello = await ws.receive_json(timeout=HANG_S)
             assert hello["result"]["role"] == "command"
         for origin in (f"http://127.0.0.2:{tls_web.port}", f"https://localhost:{tls_web.port}"):
             with pytest.raises(aiohttp.WSServerHandshakeError):
@@ -339,18 +340,21 @@ async def test_over_tls_a_page_signs_in_with_a_secure_cookie_and_has_a_websocket
 
 def test_without_tls_or_with_an_old_one_nothing_is_served(tls_web: TlsWeb) -> None:
     place = ("127.0.0.2", tls_web.port)
-    with socket.create_connection(place, timeout=60) as sock:
+    with socket.create_connection(place, timeout=HANG_S) as sock:
         sock.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.2:{tls_web.port}\r\n\r\n".encode())
         received = b""
         while data := sock.recv(4096):
             received += data
         assert b"HTTP" not in received
-    with socket.create_connection(place, timeout=60) as sock:  # a handshake that never begins
+    with socket.create_connection(place, timeout=HANG_S) as sock:  # a handshake that never begins
         assert sock.recv(10) == b""
     old = tls_web.context()
     old.maximum_version = ssl.TLSVersion.TLSv1_2
     old.set_ciphers("DEFAULT")
-    with socket.create_connection(place, timeout=60) as sock, old.wrap_socket(sock, server_hostname="127.0.0.2") as tls:
+    with (
+        socket.create_connection(place, timeout=HANG_S) as sock,
+        old.wrap_socket(sock, server_hostname="127.0.0.2") as tls,
+    ):
         assert tls.version() == "TLSv1.2", "the oldest that is served"
 
 
@@ -371,7 +375,7 @@ async def test_connections_that_never_begin_their_handshake_are_bounded_and_keep
                     await asyncio.sleep(0.1)  # it accepts them meanwhile
             assert tls_web.descriptors() < MAX_CONNECTIONS + 60
             await ws.send_json({"jsonrpc": "2.0", "id": 1, "method": "web.ping"})
-            while (await ws.receive_json(timeout=60)).get("id") != 1:
+            while (await ws.receive_json(timeout=HANG_S)).get("id") != 1:
                 pass
             async with session.get(tls_web.base, ssl=context, headers={"Connection": "close"}) as answer:
                 assert answer.status in (200, 503)
@@ -397,7 +401,7 @@ def test_a_certificate_that_does_not_work_is_named_and_nothing_starts(
         command("web", "--no-open", *place, "--tls-cert", str(cert), "--tls-key", str(key)),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANG_S,
     )
     assert done.returncode == 1 and done.stdout == ""
     assert str(cert) in done.stderr and "Traceback" not in done.stderr

@@ -18,6 +18,7 @@ import yarl
 
 from skygcs.web.browser_connections import MAX_CONNECTIONS
 from skygcs.web.http_server import MAX_SOCKETS_EACH, MAX_VIEW_SOCKETS
+from support.hanging import HANG_S
 from support.process import wait_until
 from support.web_page import page_of, raw, status
 from support.web_station import WebStation, command
@@ -179,7 +180,7 @@ async def test_a_thousand_connections_keep_nobody_out_who_is_signed_in(station: 
 
 
 def test_a_connection_that_says_nothing_is_closed(station: WebStation) -> None:
-    with socket.create_connection(("127.0.0.1", station.port), timeout=60) as sock:
+    with socket.create_connection(("127.0.0.1", station.port), timeout=HANG_S) as sock:
         sock.sendall(b"GET / HT")
         assert sock.recv(100) == b""
 
@@ -191,7 +192,7 @@ async def test_a_browser_has_few_websockets(station: WebStation) -> None:
             await page.connect()
         assert refused.value.status == 429
         await more[0].close()
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(HANG_S):
             while True:
                 try:
                     more.append(await page.connect())
@@ -305,14 +306,14 @@ async def test_the_command_prints_a_further_address_of_a_role(
 ) -> None:
     where = ("--socket", str(station.socket_path), "--port", str(station.port))
     line = command("web", "link", *where, *options)
-    done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=120)
+    done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
     async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as browser:
         async with browser.get(done.stdout.strip(), allow_redirects=False) as answer:
             assert answer.status == 303
         async with browser.ws_connect(f"{station.base}/ws", origin=station.base) as ws:
             await ws.send_json({"jsonrpc": "2.0", "id": 1, "method": "web.hello"})
-            while (reply := await ws.receive_json(timeout=30)).get("id") != 1:
+            while (reply := await ws.receive_json(timeout=HANG_S)).get("id") != 1:
                 pass
         assert reply["result"]["role"] == role
 
@@ -323,10 +324,10 @@ async def test_after_a_sign_out_no_browser_gets_in_with_what_it_has(tmp_path: Pa
         async with page_of(station) as page:
             unused = station.address()
             line = command("web", "sign-out", "--socket", str(station.socket_path), "--port", str(station.port))
-            done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=120)
+            done = await asyncio.to_thread(subprocess.run, line, capture_output=True, text=True, timeout=HANG_S)
             assert done.returncode == 0 and done.stdout.startswith("1 browser signed out"), done.stderr
             assert page.ws is not None
-            assert (await page.ws.receive(timeout=60)).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
+            assert (await page.ws.receive(timeout=HANG_S)).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
             for address in (station.base, unused):
                 async with page.session.get(address) as answer:
                     assert answer.status == 403
@@ -344,7 +345,7 @@ async def test_after_a_sign_out_no_browser_gets_in_with_what_it_has(tmp_path: Pa
 
 def test_of_a_page_that_is_not_there_no_address_is_printed(station: WebStation) -> None:
     where = ("--socket", str(station.socket_path), "--port", "1")
-    done = subprocess.run(command("web", "link", *where), capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command("web", "link", *where), capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 1 and done.stdout == "" and "Traceback" not in done.stderr
 
 
@@ -357,7 +358,7 @@ def test_another_address_without_tls_does_not_start(tmp_path: Path, host: str) -
         command("web", "--no-open", "--port", "0", "--host", host, "--socket", str(tmp_path / "x.sock")),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANG_S,
     )
     assert done.returncode == 1 and "needs TLS" in done.stderr and "Traceback" not in done.stderr
     assert done.stdout == ""
@@ -368,7 +369,7 @@ def test_a_port_that_is_taken_is_named(station: WebStation, tmp_path: Path) -> N
         command("web", "--no-open", "--port", str(station.port), "--socket", str(tmp_path / "x.sock")),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANG_S,
     )
     assert done.returncode == 1 and str(station.port) in done.stderr and "--port" in done.stderr
 

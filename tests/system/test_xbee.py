@@ -15,9 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from support.hanging import HANG_S
 from support.process import DaemonProcess, wait_until
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 BIN = Path(sys.executable).parent
 
@@ -28,7 +29,7 @@ def cli(socket: Path, *words: str | Path, code: int = 0) -> str:
         env={**os.environ, "SKYGCS_SOCKET": str(socket)},
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=HANG_S,
         check=False,
     )
     assert done.returncode == code, done.stdout + done.stderr
@@ -46,7 +47,7 @@ def network(port: Path, *options: str, air: str = "200,loss=0.1") -> Iterator[su
         yield process
     finally:
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=HANG_S)
 
 
 def test_vehicles_behind_xbee_are_flown_and_come_back_after_the_module_was_pulled_out(tmp_path: Path) -> None:

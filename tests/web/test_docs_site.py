@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from support.browser import LIMIT_S, until
+from support.browser import until
+from support.hanging import HANG_S
 from support.process import ROOT
 
 SITE = ROOT / "build" / "site"
@@ -44,7 +45,7 @@ def test_the_search_finds_without_a_server(page: Page, requested: list[str]) -> 
     page.goto((SITE / "index.html").as_uri())
     page.fill("input[name=query]", "duplicate system id")
     until(page, "document.querySelectorAll('.md-search-result__item').length > 0")
-    page.locator(".md-search-result__item a").first.click(timeout=LIMIT_S * 1000)
+    page.locator(".md-search-result__item a").first.click(timeout=HANG_S * 1000)
     page.wait_for_url("**/*.html*")
     assert page.url != (SITE / "index.html").as_uri()
     assert [url for url in requested if not url.startswith("file://")] == []

@@ -31,7 +31,7 @@ def test_the_fleet_is_examined_and_what_is_red_stands_first(
     until(page, "skygcs.store.state.vehicles.size === 3")
     page.get_by_role("button", name="Examine all").click()
     matrix = page.get_by_role("region", name="Checks by vehicles")
-    expect(matrix.locator("thead button")).to_have_count(3, timeout=120_000)
+    expect(matrix.locator("thead button")).to_have_count(3)
     expect(page.get_by_role("button", name="Examine all")).to_be_enabled(timeout=120_000)
     answer = examined.call("preflight.status", targets="all")
     verdicts = {
@@ -60,7 +60,7 @@ def test_the_head_of_a_vehicle_shows_and_hides_its_findings(examined: WebStation
     until(page, "skygcs.store.state.vehicles.size === 3")
     page.get_by_role("button", name="Examine all").click()
     matrix = page.get_by_role("region", name="Checks by vehicles")
-    expect(matrix.locator("thead button")).to_have_count(3, timeout=120_000)
+    expect(matrix.locator("thead button")).to_have_count(3)
     head = matrix.locator("thead button").first
     head.click()
     detail = page.get_by_role("region", name="Preflight of")

@@ -49,10 +49,10 @@ def test_an_overlap_is_refused_and_uploaded_when_it_is_held(station, open_page) 
     check = page.get_by_role("region", name="Check of north.waypoints")
     check.get_by_role("button", name="Upload to v1 and v2").click()
     orders = page.get_by_role("log", name="Orders")
-    expect(orders).to_contain_text("would come", timeout=60_000)
+    expect(orders).to_contain_text("would come")
     expect(orders).to_contain_text("they need 2.5 m")
     hold(page, check.get_by_role("button", name=re.compile("in spite of what was refused")))
-    expect(orders).to_contain_text("items taken", timeout=60_000)
+    expect(orders).to_contain_text("items taken")
     assert heights(station, "v1") == [10.0, 10.0, 10.0] and heights(station, "v2") == [13.0, 13.0, 13.0]
     assert not page.errors
 
@@ -86,10 +86,10 @@ def test_one_after_another_shows_whose_turn_it_is_and_can_be_ended(station, open
     page.get_by_role("region", name="Check of north.waypoints").get_by_role(
         "button", name="Upload to v1 and v2"
     ).click()
-    expect(page.get_by_role("log", name="Orders")).to_contain_text("items taken", timeout=60_000)
+    expect(page.get_by_role("log", name="Orders")).to_contain_text("items taken")
     board = page.get_by_role("region", name="On board")
     hold(page, board.get_by_role("button", name=re.compile("one after another: arms")))
-    expect(board.get_by_role("row", name=re.compile("v1"))).to_contain_text("turn 1 of 2", timeout=60_000)
+    expect(board.get_by_role("row", name=re.compile("v1"))).to_contain_text("turn 1 of 2")
     expect(board.get_by_role("row", name=re.compile("v2"))).to_contain_text("waits, turn 2 of 2")
     shot(page, "mission-turns-1600-dark")
     board.get_by_role("button", name="End the turns").click()

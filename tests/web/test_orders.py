@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from support.browser import LIMIT_S, until
+from support.browser import until
+from support.hanging import HANG_S
 from support.page_steps import VIEW, VIEW_PEN, hold, until_acted
 from support.web_station import WebStation
 
@@ -60,7 +61,7 @@ def order(page: Page, text: str) -> Locator:
 
 def the_one_sent(page: Page, method: str) -> dict[str, Any]:
     """A message that the page sends now."""
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + HANG_S
     while not sent(page, method):
         assert time.monotonic() < deadline, f"never sent: {method}"
         page.wait_for_timeout(50)

@@ -94,7 +94,7 @@ def test_parameters_are_searched_edited_set_and_compared_with_a_file(station, op
     expect(waiting).to_contain_text(parameter)
     shot(page, "vehicle-params")
     hold(page, waiting.get_by_role("button", name=re.compile("hold down")))
-    expect(waiting).to_have_count(0, timeout=60_000)
+    expect(waiting).to_have_count(0)
     answer = station.call("params.get", targets=name, names=[parameter])["outcomes"][name][parameter]
     assert answer["value"] == pytest.approx(before + 0.5)
     # a file that differs in it
@@ -119,13 +119,13 @@ def test_control_shows_who_flies_it_the_error_and_the_gains(station, open_page, 
         panel = vehicle_panel(page, name, "Control")
         expect(panel).to_contain_text("Its autopilot flies it")
         hold(page, panel.get_by_role("button", name=re.compile("by position setpoints")))
-        expect(panel).to_contain_text("Setpoints: flying", timeout=60_000)
+        expect(panel).to_contain_text("Setpoints: flying")
         expect(panel.get_by_role("region", name="Gains")).to_contain_text("speed P")
         expect(panel.locator(".plot canvas")).to_be_visible()
         page.wait_for_timeout(3000)
         shot(page, "vehicle-control")
         panel.get_by_role("button", name="Off", exact=True).click()
-        expect(panel).to_contain_text("Its autopilot flies it", timeout=60_000)
+        expect(panel).to_contain_text("Its autopilot flies it")
         assert not page.errors
     finally:
         station.call("vehicles.land", targets=name)

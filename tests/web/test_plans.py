@@ -47,7 +47,7 @@ def test_a_formation_is_planned_and_played(station, open_page, shot, theme) -> N
     page.get_by_label("y", exact=True).fill("25")
     page.get_by_role("button", name="Plan for 3 vehicles").click()
     certificate = page.get_by_role("region", name="Certificate")
-    expect(certificate).to_contain_text("certified", timeout=60_000)
+    expect(certificate).to_contain_text("certified")
     timeline = page.get_by_role("region", name="Timeline of the plan")
     timeline.get_by_label("Speed").select_option("10")
     timeline.get_by_role("button", name="Play the picture").click()
@@ -133,22 +133,22 @@ def test_final_positions_are_dragged_and_the_plan_is_flown(station, open_page, s
     page.mouse.up()
     assert rows.first.inner_text() != before
     page.get_by_role("button", name="Plan for 2 vehicles").click()
-    expect(page.get_by_role("region", name="Certificate")).to_contain_text("certified", timeout=60_000)
+    expect(page.get_by_role("region", name="Certificate")).to_contain_text("certified")
     flight = page.get_by_role("region", name="Flight of the plan")
     flight.get_by_role("button", name="Check with the fleet").click()
     # both would return at one height: the report says so and offers others
-    expect(flight).to_contain_text("RTL_RETURN_ALT", timeout=60_000)
+    expect(flight).to_contain_text("RTL_RETURN_ALT")
     shot(page, "plan-report")
     hold(page, flight.get_by_role("button", name=re.compile("Set the return heights")))
-    expect(flight).to_contain_text(re.compile("takeoff|engaging|to starts|flying"), timeout=60_000)
+    expect(flight).to_contain_text(re.compile("takeoff|engaging|to starts|flying"))
     expect(flight.get_by_role("button", name="Pause")).to_be_visible()
     # a plan is not landed while its vehicles take off
-    expect(flight).to_contain_text(re.compile("planned: (to starts|flying)"), timeout=60_000)
+    expect(flight).to_contain_text(re.compile("planned: (to starts|flying)"))
     expect(flight.locator(".failure")).to_have_count(0)  # what it is doing is no failure
     shot(page, "plan-flown")
     until(page, "skygcs.store.dispatch({type: 'orderDismissed', id: 'ended'}), true")
     flight.get_by_role("button", name="Land", exact=True).click()
-    expect(flight).to_contain_text(re.compile("landing|landed"), timeout=60_000)
+    expect(flight).to_contain_text(re.compile("landing|landed"))
     assert not page.errors
 
 
@@ -198,7 +198,7 @@ def test_a_table_of_positions_gives_the_goals_of_a_plan(station, open_page, shot
     expect(page.get_by_role("row", name=re.compile("Height of v1"))).to_contain_text("0.0, 20.0")
     expect(page.get_by_role("row", name=re.compile("Height of v2"))).to_contain_text("15.0, 20.0")
     page.get_by_role("button", name="Plan for 2 vehicles").click()
-    expect(page.get_by_role("region", name="Certificate")).to_contain_text("certified", timeout=60_000)
+    expect(page.get_by_role("region", name="Certificate")).to_contain_text("certified")
     shot(page, "plan-table")
     chooser.set_input_files({"name": "bad.csv", "mimeType": "text/csv", "buffer": b"a,b\n1,2\n"})
     expect(page.locator(".planpanel .failure").filter(has_text="bad.csv")).to_be_visible()

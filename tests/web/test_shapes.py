@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from support.browser import LIMIT_S, until
+from support.browser import until
+from support.hanging import HANG_S
 from support.page_steps import click_view, fits, hold, select
 from support.web_station import WebStation
 
@@ -32,7 +33,7 @@ def flying(make_station: Callable[..., WebStation]) -> WebStation:
     assert all(outcome["ok"] for outcome in outcomes.values()), outcomes
     for name, goal in PLACES.items():  # nobody stands on the other's way
         assert station.call("vehicles.goto", targets=name, enu_m=goal)["outcomes"][name]["ok"]
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + HANG_S
     while any(math.dist(place(station, name), goal) > 1 for name, goal in PLACES.items()):
         assert time.monotonic() < deadline
         time.sleep(0.2)

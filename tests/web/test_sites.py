@@ -16,6 +16,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from support.browser import until
+from support.hanging import HANG_S
 from support.process import ROOT, wait_until
 from support.web_station import WebStation
 
@@ -36,7 +37,7 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStation]:
     finally:
         station.close()
         process.send_signal(signal.SIGTERM)
-        process.wait(timeout=30)
+        process.wait(timeout=HANG_S)
 
 
 def _connects(path: Path) -> bool:

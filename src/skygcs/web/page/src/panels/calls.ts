@@ -5,6 +5,9 @@ import { runOrder } from "../orders.ts";
 import type { State, Store } from "../store.ts";
 import type { Outcome } from "../types.ts";
 
+/** Longer than the web process gives the check of a file (CHECK_TIMEOUT_S), which says why it was ended. */
+const FILE_CHECK_MS = 150_000;
+
 /** Reads that the web process answers itself or passes to anyone. */
 export function isRead(state: Pick<State, "hello">, method: string): boolean {
   return method.startsWith("web.") || method === "replay.info" || (state.hello?.methods.read.includes(method) ?? false);
@@ -18,7 +21,7 @@ export function mayOrder(state: Pick<State, "hello">): boolean {
 /** Asks without showing it among the orders: what changes nothing in the vehicle, though it may be asked over the radio. */
 export function ask<T>(store: Store, connection: Connection, method: string, params: object = {}): Promise<T> {
   return isRead(store.state, method)
-    ? connection.call<T>(method, params, { timeoutMs: method.startsWith("web.") ? 60_000 : 15_000 })
+    ? connection.call<T>(method, params, { timeoutMs: method.startsWith("web.") ? FILE_CHECK_MS : 15_000 })
     : connection.order<T>(method, params, ORDER_DEADLINE_S);
 }
 
