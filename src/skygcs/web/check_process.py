@@ -24,7 +24,7 @@ CHECK_CPU_S = 30
 
 CHECK_TIMEOUT_S = 120.0
 """By the clock: a check yields to everything else (`NICE`), and beside busy programs gets a quarter of a processor. A
-start of 2 s of CPU time took over 30 s beside four lanes of tests. The page waits longer (`FILE_CHECK_MS`)."""
+start of 2 s of CPU time took over 30 s beside four lanes of tests. The page waits longer."""
 
 CHECK_MEMORY_BYTES = 1 << 30
 MAX_ANSWER_BYTES = 8 << 20
