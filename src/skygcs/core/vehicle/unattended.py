@@ -120,11 +120,6 @@ class UnattendedWatch:
         self._unconfirmed = False
 
     @property
-    def nobody_since(self) -> float | None:
-        """When it was seen first that nobody flies it; None: somebody does."""
-        return self._since
-
-    @property
     def owed_to(self) -> str | None:
         """Return which program flew it last, if it does nothing by itself since: what a daemon that begins anew has to
         know. None: it may be left alone."""
