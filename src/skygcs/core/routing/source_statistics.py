@@ -36,7 +36,7 @@ UNCOUNTED_COMPIDS = frozenset({190})
 """Mission Planner and QGC relay under component 190 with sequence numbers of several senders."""
 
 RADIO_SOURCE = (51, 68)
-"""SiK radios insert RADIO_STATUS as 51/68; RADIO and RADIO_STATUS may come with one sequence number."""
+"""SiK and RFD900x radios insert RADIO_STATUS as 51/68; RADIO and RADIO_STATUS may come with one sequence number."""
 
 _MASK = (1 << WINDOW) - 1
 _RAMP = bytes(range(256)) * 3

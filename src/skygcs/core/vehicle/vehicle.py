@@ -11,7 +11,7 @@ from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HeartbeatCheck, HeartbeatOrigin
+from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, HIGH_LATENCY_FACTOR, HeartbeatCheck, HeartbeatOrigin
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.vehicle_class import (
     HOLD_REACH,
@@ -25,7 +25,7 @@ from skygcs.core.mavlink.vehicle_class import (
     program_of_banner,
     vehicle_class,
 )
-from skygcs.core.protocols.command import Ack
+from skygcs.core.protocols.command import IN_PROGRESS, Ack
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup
@@ -45,12 +45,6 @@ from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS, StatusText, StatusT
 from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude, standing_amsl_m
 from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
-
-DEFAULT_TIMEOUT_S = 5.0
-"""Heartbeats come at 1 Hz; on a multipoint radio several in a row may be lost (Skybrush uses 5 s, too)."""
-
-HIGH_LATENCY_FACTOR = 4
-"""HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is lost after 20 s."""
 
 RATE_PERIOD_S = 1.0
 LANDED_FRESH_S = 10.0
@@ -75,9 +69,6 @@ REPORT_AGAIN_S = 60.0
 BESIDE_OVER_S = 5.0
 """Heartbeats come at 1 Hz: after this time without a contradicting heartbeat or a second clock, only one sender is left
 on the vehicle's channel."""
-
-IN_PROGRESS = 5
-"""MAV_RESULT of a command whose final answer is still to come."""
 
 MAX_ANSWERS = 64
 """Commands whose last answer is kept: more than skygcs sends to one vehicle."""
@@ -112,7 +103,7 @@ class Vehicle:
         *,
         name: str | None = None,
         groups: tuple[str, ...] = (),
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        timeout_s: float = DEFAULT_LOST_S,
         decoder: Decoder | None = None,
         replayed: bool = False,
     ) -> None:
