@@ -206,7 +206,7 @@ class Daemon:
             self.alarms.recall()
             self.fleet.undo.report()
             if self.config.daemon.keep_vehicles:
-                self.fleet.recall()
+                self.fleet.notes.recall_journal()
             async with asyncio.TaskGroup() as outer:
                 recording = None
                 if self.recorder is not None:
