@@ -121,7 +121,7 @@ class Fleet:
         self.sleep = SleepWatch(self._woke, loop)
         self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
         self._duplicates: dict[int, str] = {}
-        """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
+        """By key, where two autopilots send with these ids; the vehicles read it, too (`SharedIds.others`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
         self.plans = PlanPlace(loop.time, self._report_fault, self.trajectories.pause_plans)
         lost_s, waits = own.vehicle_timeout_s, self.returns.waits
@@ -530,7 +530,7 @@ class Fleet:
         vehicle.transmitter = config.preflight.transmitter
         vehicle.system = lambda now: self._system(sysid, now)
         vehicle.other_texts = lambda: self._other_texts(key)
-        vehicle.duplicates = self._duplicates
+        vehicle.ids.others = self._duplicates
         configured = config.named if self.config.vehicles else None
         actor = VehicleActor(vehicle, config, self._services, configured=configured, flown_before=flown_before)
         # into the tables
