@@ -198,7 +198,7 @@ class Daemon:
     # -- life
 
     async def run(self) -> None:
-        """Run until `stop`. Raises LinkError/ConfigError-like SkygcsErrors only before `ready` is set."""
+        """Run until `stop`. Raises SkygcsError only before `ready` is set."""
         self.rpc.claim()
         try:
             for extension in self.extensions:

@@ -31,6 +31,10 @@ WGS84_EP2 = WGS84_E2 / (1 - WGS84_E2)
 
 EAST_DEG = 90.0
 
+REACH_M = 100_000.0
+"""No vehicle of these fleets flies so far on one battery: what is farther away is a mistake, which no force insists on.
+At this distance the flat frame of the fleet is 800 m above the ground."""
+
 
 @dataclass(frozen=True, slots=True)
 class Origin:
@@ -177,6 +181,20 @@ def distance_m(lat_a_deg: float, lon_a_deg: float, lat_b_deg: float, lon_b_deg: 
     half_lon = math.sin(math.radians(lon_b_deg - lon_a_deg) / 2)
     chord = half_lat * half_lat + math.cos(lat_a) * math.cos(lat_b) * half_lon * half_lon
     return 2 * EARTH_RADIUS_M * math.asin(min(1.0, math.sqrt(chord)))
+
+
+def swapped_hint(lat_deg: float, lon_deg: float, near: tuple[float, float] | None, within_m: float) -> str:
+    """Ask whether they are swapped, if only the other way round the place is within so many metres of ``near``; without
+    ``near``, if only the other way round it is on earth. Else nothing."""
+    if not abs(lon_deg) <= 90.0 or not abs(lat_deg) <= 180.0:
+        return ""
+    as_given = abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0
+    if near is None:
+        fits = not as_given
+    else:
+        far = not as_given or distance_m(*near, lat_deg, lon_deg) > within_m
+        fits = far and distance_m(*near, lon_deg, lat_deg) <= within_m
+    return "; did you swap latitude and longitude?" if fits else ""
 
 
 def wrap_deg_360(angle_deg: float) -> float:

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.files import LOG_MODE, make_log_folder
+from skygcs.disk_writer import WriterThread
 from skygcs.events import Event
 from skygcs.tlog.format import TIME_BYTES, encode_record
-from skygcs.writer_thread import WriterThread
 
 FLUSH_PERIOD_S = 0.25
 """Longest time that a record waits in memory while the disk works; the write takes well below a second."""

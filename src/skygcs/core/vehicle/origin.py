@@ -16,11 +16,10 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from skygcs.core.geo import Origin, distance_m, wrap_deg_360
+from skygcs.core.geo import Origin, distance_m, swapped_hint, wrap_deg_360
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec
-from skygcs.core.reach import swapped_hint
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import firmware_name
 from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
