@@ -74,7 +74,7 @@ class Sample(NamedTuple):
 
 @dataclass(slots=True)
 class Track:
-    """One watched vehicle. ``offset_m`` and what follows are as of the last `TrackTable.refresh`."""
+    """One watched vehicle. ``age_s`` and what follows are as of the last `TrackTable.refresh`."""
 
     vehicle: Vehicle
     footprint: Footprint
