@@ -42,7 +42,7 @@ DATAGRAMS_PER_WAKEUP = 64
 `links.reading` for large ones and those that take long."""
 
 RECEIVE_BUFFER_BYTES = 4 << 20
-"""Requested from the kernel (which may grant less): holds the datagrams of some seconds."""
+"""Requested from the kernel (which may grant less): holds the datagrams of a few seconds."""
 
 BROADCAST_AGAIN_S = 5.0
 """Silence after which a broadcaster forgets its peer (mavlink-router's time)."""

@@ -42,7 +42,7 @@ MAX_BYTES = 1_000_000
 
 
 class FlightJournal:
-    """`recall` once, at the begin; then `note` some times a second."""
+    """`recall` once, at the start; then `note` a few times a second."""
 
     def __init__(
         self, folder: Path, disk: DiskWriter, on_event: Callable[[Event], None], clock: Callable[[], float]

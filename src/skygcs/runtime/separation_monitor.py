@@ -1,4 +1,4 @@
-"""Runs the monitor (`core.monitor`) over a fleet: evaluates it some times a second, publishes its events, carries out
+"""Runs the monitor (`core.monitor`) over a fleet: evaluates it a few times a second, publishes its events, carries out
 the holds that it asks for, and checks orders before they are sent."""
 
 from __future__ import annotations

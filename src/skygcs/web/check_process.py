@@ -19,7 +19,7 @@ from skygcs.errors import RefusedError, SkygcsError
 from skygcs.web.sign_in import Role
 
 CHECK_TIMEOUT_S = 30.0
-"""The certificate of a plan for 50 vehicles takes some seconds on a slow computer."""
+"""The certificate of a plan for 50 vehicles takes a few seconds on a slow computer."""
 
 CHECK_MEMORY_BYTES = 1 << 30
 MAX_ANSWER_BYTES = 8 << 20

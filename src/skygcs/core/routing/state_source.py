@@ -355,7 +355,7 @@ class StateSource:
             self.reports.append(SourceReport("duplicate_over", None, self.present_id))
 
     def choose(self, received: Callable[[int], tuple[int, int] | None], now: float) -> None:
-        """Assess each channel, and change over to a better one; some times a second. ``received``: frames received and
+        """Assess each channel, and change over to a better one; a few times a second. ``received``: frames received and
         lost of this vehicle on a channel."""
         fastest = min((h.least_delayed_boot_at for h in self._heard.values()), default=math.inf)
         for channel_id, heard in self._heard.items():

@@ -203,7 +203,7 @@ class _Height(NamedTuple):
 
 
 class LandingWatch:
-    """One flight's end: `look` some times a second from its start on, then `verdict`."""
+    """One flight's end: `look` a few times a second from its start on, then `verdict`."""
 
     def __init__(self, now: float) -> None:
         self._began_at = now

@@ -101,7 +101,7 @@ Effect = HoldIt | HoldsAfterAll
 
 
 class UnattendedWatch:
-    """Watch which program flies one vehicle, by what was noted. `tick` some times a second."""
+    """Watch which program flies one vehicle, by what was noted. `tick` a few times a second."""
 
     def __init__(self, flown_before: str | None = None) -> None:
         """``flown_before``: who flew it until this daemon began, by its journal; None: not known."""

@@ -90,7 +90,7 @@ class CaptureProcess:
         return self._connected_at is not None and self._loop.time() - self._connected_at >= STEADY_S
 
     def tick(self, now: float) -> None:
-        """Called some times a second: kills a process that does nothing any more."""
+        """Called a few times a second: kills a process that does nothing any more."""
         process = self._process
         if process is None or process.returncode is not None:
             return

@@ -24,7 +24,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 RETRY_S = 10.0
-"""ArduPilot takes no origin before its estimator has begun, some seconds after its start."""
+"""ArduPilot takes no origin before its estimator has begun, a few seconds after its start."""
 
 TRIES = 6
 
