@@ -170,7 +170,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Each worker collects by a wall clock of its own, some seconds from the others': a case whose name holds the time
+    """Each worker collects by a wall clock of its own, a few seconds from the others': a case whose name holds the time
     (a gzip header does) ends every run, not only the one whose workers reach it in different seconds."""
     true_time, shift_s = time.time, COLLECTION_SHIFT_S * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
     time.time = lambda: true_time() + shift_s

@@ -198,7 +198,7 @@ class Daemon:
     # -- life
 
     async def run(self) -> None:
-        """Run until `stop`. Raises LinkError/ConfigError-like SkygcsErrors only before `ready` is set."""
+        """Run until `stop`. Raises SkygcsError only before `ready` is set."""
         self.rpc.claim()
         try:
             for extension in self.extensions:
@@ -206,7 +206,7 @@ class Daemon:
             self.alarms.recall()
             self.fleet.undo.report()
             if self.config.daemon.keep_vehicles:
-                self.fleet.recall()
+                self.fleet.notes.recall_journal()
             async with asyncio.TaskGroup() as outer:
                 recording = None
                 if self.recorder is not None:

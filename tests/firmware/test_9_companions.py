@@ -324,7 +324,7 @@ class CompanionField:
         return time.monotonic() + START_AFTER_S
 
     def _ordered(self, method: str, **params: Any) -> bool:
-        """False while the companion has not answered for some seconds, as at 0.8 s and 10 % of loss now and then."""
+        """False while the companion has not answered for a few seconds, as at 0.8 s and 10 % of loss now and then."""
         outcome = self.field.daemon.call(method, targets=self.name, **params)["outcomes"][self.name]
         assert outcome["ok"] or "has not answered" in outcome["message"] or "not known" in outcome["message"], outcome
         return bool(outcome["ok"])

@@ -73,7 +73,7 @@ def same(field: Field, name: str, file: dict[str, Any]) -> int:
 
 
 def flown(field: Field) -> None:
-    """Each has a log of a flight, which ends some seconds after it."""
+    """Each has a log of a flight, which ends a few seconds after it."""
     if not field.px4:  # or the log grows after the flight (AP_Logger_Backend.cpp, ShouldLog: have_logged_armed)
         field.order("params.set", "all", params={"LOG_DISARMED": 0, "LOG_FILE_DSRMROT": 1})
     field.takeoff()

@@ -56,7 +56,7 @@ def second(pair: Pair) -> tuple[float, float]:
 
 
 async def flies(pair: Pair) -> None:
-    """Until the plan's own step has led v1 some metres."""
+    """Until the plan's own step has led v1 a few metres."""
     await pair.until(lambda: state(pair) == "flying" and pair.pi.place()[0] > 6.0, 90.0)
 
 

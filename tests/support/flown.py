@@ -52,7 +52,7 @@ SYSID_BYTE = 5
 """Of a MAVLink 2 frame, which is all that the simulated vehicles send."""
 
 UNIX_S = 1_700_000_000.0
-"""The wall clock at the begin of virtual time."""
+"""The wall clock at the beginning of virtual time."""
 
 CONVERGED_S = 10.0
 """Vehicles that a test brings into the air have been switched on for so long: the estimators of both firmwares have

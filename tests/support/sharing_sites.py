@@ -145,7 +145,7 @@ class Flight:
             self._retried(method, params)
 
     def _retried(self, method: str, params: dict[str, Any]) -> None:
-        """A simulated vehicle needs some seconds until it may fly."""
+        """A simulated vehicle needs a few seconds until it may fly."""
         outcomes: list[Any] = []
 
         def ok() -> bool:

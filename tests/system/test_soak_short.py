@@ -1,4 +1,4 @@
-"""`make soak` for some seconds: what is delivered to whom, never how fast."""
+"""`make soak` for a few seconds: what is delivered to whom, never how fast."""
 
 from __future__ import annotations
 

@@ -50,7 +50,6 @@ NEEDED = (
     "skygcs.core.vehicle.offboard_controller",
     "skygcs.core.vehicle.orders",
     "skygcs.rpc.control",
-    "skygcs.rpc.operator",
     "skygcs.rpc.vehicles",
     "skygcs.runtime.command_client",
     "skygcs.runtime.operator_watchdog",

@@ -12,9 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from skygcs.config.tables import Model
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
-from skygcs.core.preflight.expectations import ControlMode, Expectations
+from skygcs.core.preflight.expectations import ControlMode, Expectations, Rule
 from skygcs.core.preflight.health import version_problem
-from skygcs.core.preflight.rules import Rule
 
 ParamValue = int | float
 Mask = Annotated[int, Field(ge=1, lt=1 << 32)]

@@ -1,4 +1,4 @@
-"""WGS84 and the fleet's world frame: x, y, up in metres about one origin, and compass angles.
+"""WGS84 and the fleet's world frame: x, y, up in metres about one origin, and angles.
 
 The x axis of the world points along `Origin.x_heading_deg`, y is 90 degrees to its left, z is up. With the default of
 90 that is plain ENU (x east, y north), after which the conversions and the positions in it are named.
@@ -30,6 +30,10 @@ WGS84_EP2 = WGS84_E2 / (1 - WGS84_E2)
 """Semi-minor axis, first and second eccentricity squared."""
 
 EAST_DEG = 90.0
+
+REACH_M = 100_000.0
+"""No vehicle of these fleets flies so far on one battery: what is farther away is a mistake, which no force insists on.
+At this distance the flat frame of the fleet is 800 m above the ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +183,20 @@ def distance_m(lat_a_deg: float, lon_a_deg: float, lat_b_deg: float, lon_b_deg: 
     return 2 * EARTH_RADIUS_M * math.asin(min(1.0, math.sqrt(chord)))
 
 
+def swapped_hint(lat_deg: float, lon_deg: float, near: tuple[float, float] | None, within_m: float) -> str:
+    """Ask whether they are swapped, if only the other way round the place is within so many metres of ``near``; without
+    ``near``, if only the other way round it is on earth. Else nothing."""
+    if not abs(lon_deg) <= 90.0 or not abs(lat_deg) <= 180.0:
+        return ""
+    as_given = abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0
+    if near is None:
+        fits = not as_given
+    else:
+        far = not as_given or distance_m(*near, lat_deg, lon_deg) > within_m
+        fits = far and distance_m(*near, lon_deg, lat_deg) <= within_m
+    return "; did you swap latitude and longitude?" if fits else ""
+
+
 def wrap_deg_360(angle_deg: float) -> float:
     """The same direction in [0, 360)."""
     wrapped = math.fmod(angle_deg, 360.0)
@@ -200,3 +218,25 @@ def yaw_enu_from_heading_deg(heading_deg: float) -> float:
 def heading_from_yaw_enu_deg(yaw_deg: float) -> float:
     """ENU yaw -> compass heading in [0, 360), both degrees."""
     return wrap_deg_360(90.0 - yaw_deg)
+
+
+def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """(w, x, y, z) of a turn about z, then about the new y (pitch), then about the new x (roll), in radians: MAVLink's
+    angles of an FRD body in NED. In ENU and FLU a positive pitch lowers the nose."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """(roll, pitch, yaw) in radians; the inverse of `quaternion_from_euler`."""
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw

@@ -54,6 +54,12 @@ class ForwardingPath(NamedTuple):
 MAX_SOURCES_PER_CHANNEL = 512
 """Bound of the per-source table of one channel; what comes from further sources is counted together."""
 
+CHANNEL_TOTALS = (
+    *("rx_frames", "rx_bytes", "tx_frames", "tx_bytes", "tx_dropped"),
+    *("bad_crc", "unknown", "skipped_bytes"),
+)
+"""Counters of a channel that are added up for its link."""
+
 
 class ChannelSigning(Protocol):
     """How a channel with a signing key treats what comes and what is ours."""
@@ -222,24 +228,17 @@ class Channel(ABC):
         self.link.host.on_sent(self, outgoing, raw)
         return raw
 
+    def totals(self) -> dict[str, int]:
+        """Counters of `CHANNEL_TOTALS`."""
+        stats = self.parser.stats
+        counts = (self.rx_frames, self.rx_bytes, self.tx_frames, self.tx_bytes, self.tx_dropped)
+        return dict(zip(CHANNEL_TOTALS, (*counts, stats.bad_crc, stats.unknown, stats.skipped_bytes), strict=True))
+
     def counters(self) -> dict[str, Any]:
         """JSON-able counters of this channel; subclasses add their own."""
-        stats = self.parser.stats
         signing = {} if self.signing is None else {"signing": self.signing.counters()}
         translator = {} if self.translator is None else self.translator.counters()
-        return {
-            "rx_frames": self.rx_frames,
-            "rx_bytes": self.rx_bytes,
-            "tx_frames": self.tx_frames,
-            "tx_bytes": self.tx_bytes,
-            "tx_dropped": self.tx_dropped,
-            "good": stats.good,
-            "bad_crc": stats.bad_crc,
-            "unknown": stats.unknown,
-            "skipped_bytes": stats.skipped_bytes,
-            **translator,
-            **signing,
-        }
+        return {**self.totals(), "good": self.parser.stats.good, **translator, **signing}
 
 
 class Link(ABC):

@@ -69,7 +69,7 @@ class ReplayLink(Link):
             kind: str | None = "tlog"
             if path.suffix.lower() != ".tlog":
                 kind = sniff(window[:WINDOW_BYTES], self.host.dialect)
-                if kind is None and len(window) > WINDOW_BYTES:  # some seconds for 16 MB of noise
+                if kind is None and len(window) > WINDOW_BYTES:  # a few seconds for 16 MB of noise
                     kind = await asyncio.to_thread(sniff, window, self.host.dialect)
             if self._file is not file:
                 raise LinkError(f"replay {path}: closed while it was being opened")

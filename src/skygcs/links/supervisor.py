@@ -10,6 +10,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Literal
 
+from skygcs.back_off import BackOff
 from skygcs.errors import LinkError
 from skygcs.events import Event
 from skygcs.links.base import Link
@@ -22,23 +23,6 @@ LONGEST_BACK_OFF_S = 5.0
 
 STABLE_AFTER_S = 5.0
 """A link that was up for less has not recovered: the next back-off is longer still."""
-
-
-class BackOff:
-    """Pauses before the next attempt: each twice the one before, from ``first_s`` to ``longest_s``. An attempt that was
-    a success for `STABLE_AFTER_S` or longer has them begin anew."""
-
-    def __init__(self, first_s: float = FIRST_BACK_OFF_S, longest_s: float = LONGEST_BACK_OFF_S) -> None:
-        self._first_s = self._next_s = first_s
-        self._longest_s = longest_s
-
-    def after(self, up_s: float) -> float:
-        """The pause after an attempt that was up for so long, 0 if never."""
-        if up_s >= STABLE_AFTER_S:
-            self._next_s = self._first_s
-        pause_s = self._next_s
-        self._next_s = min(2 * pause_s, self._longest_s)
-        return pause_s
 
 
 class LinkSupervisor:
@@ -59,7 +43,7 @@ class LinkSupervisor:
 
     async def run(self) -> None:
         """Until cancelled, or until the link has finished by itself. Nothing a link raises ends it."""
-        back_off = BackOff()
+        back_off = BackOff(FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, STABLE_AFTER_S)
         try:
             while True:
                 reason = await self._one_life()

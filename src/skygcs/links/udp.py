@@ -42,7 +42,7 @@ DATAGRAMS_PER_WAKEUP = 64
 `links.reading` for large ones and those that take long."""
 
 RECEIVE_BUFFER_BYTES = 4 << 20
-"""Requested from the kernel (which may grant less): holds the datagrams of some seconds."""
+"""Requested from the kernel (which may grant less): holds the datagrams of a few seconds."""
 
 BROADCAST_AGAIN_S = 5.0
 """Silence after which a broadcaster forgets its peer (mavlink-router's time)."""
@@ -190,8 +190,8 @@ class UdpLink(Link):
                     broken=partial(self._on_receive_error, sock),
                 )
             on_readable = self._on_readable if self._fast_path is None else self._on_readable_fast
-            # Not by `Readiness`: a socket that is not connected shows no errors, and an epoll less saves 6 % of all at
-            # 1,000 frames a second.
+            # Not by a `DescriptorWatcher`: a socket that is not connected shows no errors, and an epoll less saves 6 %
+            # of all at 1,000 frames a second.
             self.loop.add_reader(sock.fileno(), on_readable)
             self._watched = sock.fileno()
             self._socket = sock

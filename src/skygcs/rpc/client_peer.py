@@ -128,10 +128,8 @@ class ClientPeer(asyncio.Protocol):
         sock = self.socket
         if sock is None or sock.family != socket.AF_UNIX:
             return None
-        with (
-            contextlib.suppress(OSError),
-            socket.socket(fileno=os.dup(sock.fileno())) as peer,
-        ):  # uvloop's has no options
+        # uvloop's socket has no options
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(sock.fileno())) as peer:
             return Credentials(*struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)))
         return None
 

@@ -33,6 +33,10 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 JsonObject = dict[str, Any]
 
+RELAY = "operator.relay"
+"""The one request that does not count for operator_timeout_s. What relays a web page, which refreshes itself for as
+long as it is open, calls it once for each connection, and operator.active whenever a person used the page."""
+
 NewSession = Callable[[Callable[[asyncio.Transport], bool]], asyncio.BaseProtocol]
 """Makes the session of a connection; its argument has the last word on the connection's transport."""
 

@@ -19,11 +19,10 @@ from skygcs.rpc import (
     error_codes,
     links,
     messages,
-    operator,
     origin,
     vehicles,
 )
-from skygcs.rpc.context import Context, JsonObject
+from skygcs.rpc.context import RELAY, Context, JsonObject
 from skygcs.rpc.dispatch import DeclaredMethods, Later, Method
 from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
 from skygcs.rpc.openrpc import document
@@ -42,6 +41,10 @@ class EventRecord(Result):
 class ClockReading(Result):
     monotonic_s: float = Field(description="The clock of plans and setpoints here; it restarts with the computer.")
     unix_s: float = Field(description="The wall clock.")
+
+
+class PresenceResult(Result):
+    ok: bool
 
 
 class RecentParams(MethodParams):
@@ -92,6 +95,21 @@ def unsubscribe(context: Context, params: UnsubscribeParams) -> JsonObject:
     return {"subscription": params.subscription}
 
 
+def operator_relay(context: Context, _: NoParams) -> JsonObject:
+    """Do not count requests of this connection for operator_timeout_s; only operator.active does.
+
+    For programs that send requests by themselves while a person may have left.
+    """
+    context.relay_operator()
+    return {"ok": True}
+
+
+def operator_active(context: Context, _: NoParams) -> JsonObject:
+    """Report that a person has just done something, for operator_timeout_s."""
+    context.services.operator_watchdog.on_client()
+    return {"ok": True}
+
+
 async def rpc_discover(context: Context, _: NoParams) -> JsonObject:
     """This interface as an OpenRPC document, with the methods of the extensions that run."""
     return _document(await context.every_method())
@@ -124,7 +142,10 @@ METHODS: DeclaredMethods[Context] = DeclaredMethods(
         ),
         Method("unsubscribe", UnsubscribeParams, unsubscribe, SubscriptionNumber, while_stopping=True),
     ),
-    operator.METHODS,
+    (
+        Method(RELAY, NoParams, operator_relay, PresenceResult, while_stopping=True),
+        Method("operator.active", NoParams, operator_active, PresenceResult, while_stopping=True),
+    ),
     origin.METHODS,
     Later("params", "skygcs.rpc.params"),
     control.METHODS,

@@ -381,7 +381,7 @@ class PreflightStatus(Result):
 async def preflight_run(context: Context, params: PreflightParams) -> JsonObject:
     """Examine vehicles before a flight: parameters, sensors, estimator, GPS, battery, home, clock, link.
 
-    Takes some seconds a vehicle. With fix, parameters are set: not on an armed vehicle, and never its system id. Some
+    Takes a few seconds a vehicle. With fix, parameters are set: not on an armed vehicle, and never its system id. Some
     take effect only after a reboot.
     """
     reports: dict[str, Any] = await context.services.fleet.preflight(

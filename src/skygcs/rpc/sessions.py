@@ -24,11 +24,10 @@ from skygcs.descriptors import is_of_the_last
 from skygcs.events import Event
 from skygcs.rpc import client_peer, dispatch, error_codes
 from skygcs.rpc.client_peer import ClientPeer
-from skygcs.rpc.context import Context, JsonObject, ReportingContext, Services
+from skygcs.rpc.context import RELAY, Context, JsonObject, ReportingContext, Services
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import SubscribeParams
-from skygcs.rpc.operator import RELAY
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
 from skygcs.rpc.replies import error_reply, key_twice, parse
 from skygcs.rpc.slices import Slices
@@ -37,67 +36,51 @@ from skygcs.rpc.subscriptions import Feeds, Subscription
 MAX_SESSIONS = 64
 """A fleet has a few dashboards and scripts; each open socket costs a file descriptor of the usual 1024."""
 
-
 MAX_RESERVE = 128
 """Connections beyond. More than the system hands over at one wake-up (a backlog of 100), so that a flood of connections
 does not put one out before what it sent with its connection was read."""
 
-
 RESERVE_S = 2.0
 """Time for the one request of a connection beyond the places; skygcs-cli sends it at once."""
-
 
 MAX_UNAUTHENTICATED = 128
 """Most clients without the token, the same as MAX_RESERVE: they neither use up the places of others nor keep them
 out."""
 
-
 IDLE_S = 10.0
 """A session without requests for so long, and without subscriptions, may be closed for another. A dashboard asks once a
 second or subscribes."""
 
-
 AMPLE_SHARE = 0.9
 """Share of the places below which an event reports that there are free ones again."""
-
 
 TURN_S = 0.002
 """All clients' requests together may use the loop this long before routing and everything else get their turn."""
 
-
 LINGER_S = 5.0
-
 
 MAX_LINGERING = 64
 """Longest time and largest number of closed connections whose last answer has not been read."""
 
-
 EVENT_QUIET_S = 10.0
 """At most one report of full places in this time."""
-
 
 MAX_WITHOUT_CLIENT = 256
 """Orders that end a flight and go on without their client; further ones end with their client. A client that connects,
 orders and leaves in a loop must not grow the daemon's memory."""
 
-
 MAX_LINE_BEFORE_AUTH_BYTES = 4096
-
 
 AUTH_TIMEOUT_S = 5.0
 """A TCP client that has not sent its token by then is closed."""
 
-
 MAX_BATCH = 128
-
 
 MAX_IN_FLIGHT = 64
 """Requests that one client waits for at the same time. Their orders to single vehicles have a bound of their own
 (`rpc.work_gate`)."""
 
-
 MAX_SUBSCRIPTIONS = 32
-
 
 _log = structlog.get_logger(__name__)
 

@@ -28,26 +28,20 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 DEFAULT_TELEMETRY_HZ = 2.0
 
-
 GRID_S = 0.05
 """All telemetry goes out on one grid of 20 Hz, so that every subscriber of a tick shares the encoded state."""
-
 
 ALWAYS = frozenset({"name", "sysid"})
 """Keys that every update has."""
 
-
 VEHICLES_PER_WRITE = 16
 """Then the client's buffer is looked at again."""
-
 
 QUEUED = 256
 """Events or messages waiting per subscription: seconds of a busy fleet; further ones push out the oldest."""
 
-
 MAX_RATED_SOURCES = 4096
 """Different (sysid, compid, message) of one rate limit; noise cannot grow the table further."""
-
 
 _log = structlog.get_logger(__name__)
 

@@ -12,7 +12,6 @@ from typing import Any
 from skygcs.config.models import SerialLinkConfig, SimulatedLinkConfig, XBeeLinkConfig
 from skygcs.config.radio import RadioKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE
 from skygcs.core.radio_link.pacing import RadioReport
 from skygcs.core.radio_link.rate_controller import RateController
@@ -28,6 +27,7 @@ from skygcs.core.radio_link.stream_rates import (
     profile_rates,
 )
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.source_statistics import LOSS_WINDOW_S
 from skygcs.events import Event
 from skygcs.links.base import Channel, Link
 from skygcs.links.paced import FRAME_OVERHEAD_BYTES, AirBudget

@@ -1,7 +1,6 @@
-"""Counters of each channel and each source on it: kept while a channel is closed, bounded, and
-shown.
+"""Counters of each channel and each source on it: kept while a channel is closed, bounded, and shown.
 
-The counters are the channel's own (`Channel.counters`, `SourceStats`), because every frame increases them.
+The counters are the channel's own (`Channel.totals`, `SourceStats`), because every frame increases them.
 """
 
 from __future__ import annotations
@@ -27,33 +26,6 @@ MAX_CLOSED_CHANNELS = 256
 
 MAX_CLOSED_SOURCES = 2048
 """Sources of all closed channels together, 300 bytes each: programs that come and go must not accumulate."""
-
-CHANNEL_TOTALS = (
-    "rx_frames",
-    "rx_bytes",
-    "tx_frames",
-    "tx_bytes",
-    "tx_dropped",
-    "bad_crc",
-    "unknown",
-    "skipped_bytes",
-)
-"""Counters of a channel that are added up for its link; those of `Channel.counters`."""
-
-
-def channel_totals(channel: Channel) -> dict[str, int]:
-    """`CHANNEL_TOTALS` of one channel."""
-    stats = channel.parser.stats
-    return {
-        "rx_frames": channel.rx_frames,
-        "rx_bytes": channel.rx_bytes,
-        "tx_frames": channel.tx_frames,
-        "tx_bytes": channel.tx_bytes,
-        "tx_dropped": channel.tx_dropped,
-        "bad_crc": stats.bad_crc,
-        "unknown": stats.unknown,
-        "skipped_bytes": stats.skipped_bytes,
-    }
 
 
 class ChannelStatistics:
@@ -93,7 +65,7 @@ class ChannelStatistics:
     def _add_to_totals(self, channel: Channel) -> None:
         """Keep the counters of a channel that closes: those of its link must not decrease."""
         totals = self._closed_totals.pop(channel.link.name, Counter())
-        totals.update(channel_totals(channel))
+        totals.update(channel.totals())
         self._closed_totals[channel.link.name] = totals
         while len(self._closed_totals) > MAX_CLOSED_CHANNELS:
             del self._closed_totals[next(iter(self._closed_totals))]
@@ -151,7 +123,7 @@ class ChannelStatistics:
         totals = Counter(self._closed_totals.get(link, {}))
         for channel in self._channels.values():
             if channel.link.name == link:
-                totals.update(channel_totals(channel))
+                totals.update(channel.totals())
         return totals
 
     def link_quality(self, key: int) -> dict[str, Any]:

@@ -46,6 +46,7 @@ from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import (
+    MAX_VEHICLES,
     NewFlight,
     OnEvent,
     OrderRefusal,
@@ -57,14 +58,8 @@ from skygcs.runtime.vehicle_services import (
 from skygcs.runtime.world_frame import WorldFrame
 
 MAX_VEHICLES_OF_LINK = 250
-"""System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats ..."""
-
-MAX_VEHICLES = 300
-"""... which leaves room for vehicles of other links. One that the fleet file names always has its place."""
-
-UNKNOWN_S = 60.0
-"""After a start with a journal that cannot be read, a vehicle that is heard within this time may have been flown by the
-daemon before; later ones have flown without us for as long."""
+"""System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats. One that
+the fleet file names always has its place."""
 
 OWN_IDS_AGAIN_S = 60.0
 """Between two reports of an autopilot that has our own ids."""
@@ -124,18 +119,14 @@ class Fleet:
         self.turns = MissionTurns(loop, on_event)
         self.orders = FleetOrders(self, self._services, self.monitor, self.returns, self.turns)
         self.sleep = SleepWatch(self._woke, loop)
-        self.flights = FlightJournal(own.log_dir, self.disk, on_event, boot_clock(loop))
-        self._owed: dict[int, str] = {}
-        """By key, who flew a vehicle that was dropped in the air, for when it is heard again."""
-        self._unknown_until = -math.inf
-        """Until when a vehicle that is heard first may have been flown by the daemon before."""
         self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
         self._duplicates: dict[int, str] = {}
-        """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
+        """By key, where two autopilots send with these ids; the vehicles read it, too (`SharedIds.others`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
         self.plans = PlanPlace(loop.time, self._report_fault, self.trajectories.pause_plans)
         lost_s, waits = own.vehicle_timeout_s, self.returns.waits
-        self.notes = FlightNotes(self.vehicles, self._add, waits, self.flights, lost_s, dialect, loop, on_event)
+        journal = FlightJournal(own.log_dir, self.disk, on_event, boot_clock(loop))
+        self.notes = FlightNotes(self.vehicles, self._add, waits, journal, lost_s, dialect, loop, on_event)
         # other components, and configured vehicles
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
@@ -190,20 +181,20 @@ class Fleet:
 
     def tick(self, now: float) -> None:
         """Call `tick` of every vehicle, even if one fails; the first exception is raised at the end."""
-        fault: Exception | None = None
+        first: Exception | None = None
         if self.sleep.check():
             return
         for actor in list(self.vehicles.values()):
             try:
                 actor.tick(now)
             except Exception as error:
-                fault = fault or error
+                first = first or error
         self.components.tick(now)
         self.trajectories.tick(now)
         self.plans.tick()
         self.notes.tick(now)
-        if fault is not None:
-            raise fault
+        if first is not None:
+            raise first
 
     def on_station_frame(self, frame: Frame, channel: Channel, now: float) -> None:
         """A message of another station, one of `STATION_MESSAGES`, to one of the vehicles."""
@@ -509,9 +500,7 @@ class Fleet:
                 self._on_event(Event("conflict", None, frame.sysid, text, data))
             return
         self._replace_expected(frame, channel_label, now)
-        unknown = "nobody knows who, as the journal cannot be read," if now < self._unknown_until else None
-        flown_before = self._owed.pop(frame.sysid << 8 | frame.compid, unknown)
-        actor = self._add(frame.sysid, frame.compid, channel_label, flown_before)
+        actor = self._add(frame.sysid, frame.compid, channel_label, self.notes.flown_before(key, now))
         config, vehicle = actor.config, actor.vehicle
         actor.on_frame(frame, channel_label, now)
         # report it
@@ -541,24 +530,17 @@ class Fleet:
         vehicle.transmitter = config.preflight.transmitter
         vehicle.system = lambda now: self._system(sysid, now)
         vehicle.other_texts = lambda: self._other_texts(key)
-        vehicle.duplicates = self._duplicates
+        vehicle.ids.others = self._duplicates
         configured = config.named if self.config.vehicles else None
         actor = VehicleActor(vehicle, config, self._services, configured=configured, flown_before=flown_before)
         # into the tables
         self.components.forget(key)
         self.vehicles[key] = actor
-        self._owed.pop(key, None)
         self._of_system.setdefault(sysid, set()).add(key)
         self._met_on[key] = link
         self._links.forget_flows()
         self.world.join(actor)
         return actor
-
-    def recall(self) -> None:
-        """Take what flew from the journal of the daemon before (`FlightNotes.recall`)."""
-        self.notes.recall(self.flights.recall(), "a restart")
-        if self.flights.unreadable:
-            self._unknown_until = self._loop.time() + UNKNOWN_S
 
     def _woke(self, pause: Standstill) -> None:
         """The computer slept, or this process stood still: what was known of vehicles is forgotten, as by a restart.
@@ -661,9 +643,7 @@ class Fleet:
 
     def _drop(self, key: int, why: str = "it was forgotten") -> VehicleActor:
         actor = self.vehicles.pop(key)
-        owed_to = actor.unattended.watch.owed_to
-        if owed_to is not None and may_fly(actor.vehicle, self._loop.time()) and len(self._owed) < MAX_VEHICLES:
-            self._owed[key] = owed_to
+        self.notes.dropped(actor)
         self._of_system[key >> 8].discard(key)
         del self._met_on[key]
         actor.close(why)

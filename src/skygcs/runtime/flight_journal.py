@@ -25,6 +25,7 @@ from skygcs.core.vehicle.flight_note import FlightNote
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.number_text import is_number
+from skygcs.runtime.vehicle_services import MAX_VEHICLES
 
 FORMAT = 2
 
@@ -36,15 +37,12 @@ OUT_OF_DATE = b"out of date: the disk did not take the newest notes\n"
 PERIOD_S = 2.0
 """Between two notes of places; what a vehicle does in that time is within the space that a lost one is given."""
 
-MAX_NOTES = 300
-"""Vehicles of a fleet at most."""
-
 MAX_BYTES = 1_000_000
-"""300 notes of 1 kB, and some room."""
+"""Notes of 1 kB for `MAX_VEHICLES`, and some room."""
 
 
 class FlightJournal:
-    """`recall` once, at the begin; then `note` some times a second."""
+    """`recall` once, at the start; then `note` a few times a second."""
 
     def __init__(
         self, folder: Path, disk: DiskWriter, on_event: Callable[[Event], None], clock: Callable[[], float]
@@ -70,7 +68,7 @@ class FlightJournal:
                 table = json.loads(file.read(MAX_BYTES))
             if table["format"] != FORMAT:
                 raise ValueError(f"format {table['format']!r}")
-            notes = [FlightNote.from_json(note) for note in table["notes"][:MAX_NOTES]]
+            notes = [FlightNote.from_json(note) for note in table["notes"][:MAX_VEHICLES]]
             return self._by_wall_clock(table, notes)
         except FileNotFoundError:
             return []
@@ -93,7 +91,7 @@ class FlightJournal:
             "format": FORMAT,
             "boot_id": self._boot_id,
             "unix_less_boot_s": time.time() - self._clock(),
-            "notes": [note.as_json() for note in notes[:MAX_NOTES]],
+            "notes": [note.as_json() for note in notes[:MAX_VEHICLES]],
         }
         self._waiting = json.dumps(table).encode()
         self._write_next()

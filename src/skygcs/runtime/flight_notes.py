@@ -1,5 +1,5 @@
 """Notes of all vehicles' flights: kept in the journal while they fly, taken back by a daemon that begins anew or a
-computer that has slept; and the consumption of their batteries, for the next plan."""
+computer that has slept, with who flew each; and the consumption of their batteries, for the next plan."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, FlightRecord, lost_place
-from skygcs.core.vehicle.supply import MAYBE_FLYING_S
+from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.events import Event
 from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.vehicle_services import OnEvent
+from skygcs.runtime.vehicle_services import MAX_VEHICLES, OnEvent
 
 CHARGE_S = 5.0
 """Between two looks at the charges of all vehicles."""
+
+UNKNOWN_S = 60.0
+"""After a start with a journal that cannot be read, a vehicle that is heard within this time may have been flown by the
+daemon before; later ones have flown without us for as long."""
 
 
 class ChargeRecords:
@@ -54,7 +58,8 @@ class ChargeRecords:
 
 
 class FlightNotes:
-    """`tick` at 1 to 10 Hz. What flies is noted in the journal; `recall` brings back what flew."""
+    """`tick` at 1 to 10 Hz. What flies is noted in the journal; `recall_journal` and `recall` bring back what flew, and
+    `flown_before` who flew a vehicle that is added."""
 
     def __init__(
         self,
@@ -82,6 +87,10 @@ class FlightNotes:
         self._recalled: dict[int, tuple[float, str]] = {}
         """By key, until when a vehicle that was recalled may be heard before it is reported as lost, and what it flew
         before."""
+        self._owed: dict[int, str] = {}
+        """By key, who flew a vehicle that was dropped in the air, for when it is heard again."""
+        self._unknown_until = -math.inf
+        """Until when a vehicle that is heard first may have been flown by the daemon before."""
 
     def tick(self, now: float) -> None:
         """Note the charges and what flies, and report what was recalled and is not heard."""
@@ -89,6 +98,23 @@ class FlightNotes:
         if self._recalled:
             self._report_recalled(now)
         self.note_flights(now)
+
+    def flown_before(self, key: int, now: float) -> str | None:
+        """Take the note who flew a vehicle (sysid << 8 | compid) that is now heard and added; None: nobody of ours."""
+        unknown = "nobody knows who, as the journal cannot be read," if now < self._unknown_until else None
+        return self._owed.pop(key, unknown)
+
+    def dropped(self, actor: VehicleActor) -> None:
+        """Keep who flew a vehicle that leaves the fleet and may be in the air."""
+        owed_to = actor.unattended.watch.owed_to
+        if owed_to is not None and may_fly(actor.vehicle, self._loop.time()) and len(self._owed) < MAX_VEHICLES:
+            self._owed[actor.vehicle.key] = owed_to
+
+    def recall_journal(self) -> None:
+        """`recall` what the journal of the daemon before has. If it cannot be read, any vehicle may have been flown."""
+        self.recall(self._journal.recall(), "a restart")
+        if self._journal.unreadable:
+            self._unknown_until = self._loop.time() + UNKNOWN_S
 
     def recall(self, notes: Iterable[FlightNote], pause: str) -> None:
         """Take back what flew before ``pause`` ("a restart"): a vehicle that was in the air counts as lost there until
@@ -102,6 +128,7 @@ class FlightNotes:
             # a clock that was set back meanwhile, as on a computer without a battery for it, makes no note too old
             if not note.in_air or note.key in self._vehicles or not unix_now - heard_at < MAYBE_FLYING_S:
                 continue
+            self._owed.pop(note.key, None)  # the note has it
             actor = self._add(note.sysid, note.compid, "", note.flown_by and f"{note.flown_by} before {pause}")
             actor.vehicle.recall((frame, now - max(0.0, unix_now - at)) for frame, at in frames)
             self._recalled[note.key] = now + self._timeout_s, pause

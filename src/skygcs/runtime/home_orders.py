@@ -11,9 +11,10 @@ from dataclasses import replace
 from skygcs.core.geo import Origin
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.flight_lock import EstimatorOrigin, HomeMove
 from skygcs.core.vehicle.order_plan import Plan
-from skygcs.core.vehicle.origin import ORIGIN_MESSAGE, SAME_M, announce, kept, off_m
+from skygcs.core.vehicle.origin import SAME_M, announce, kept, off_m
 from skygcs.runtime.order_runner import Planner
 from skygcs.runtime.vehicle_actor import VehicleActor
 

@@ -541,15 +541,14 @@ class Hub:
         sent = False
         for channel_id in ids:
             channel = self.channels.get(channel_id)
-            if (
-                channel is not None and channel.translator is None
-            ):  # a program bound to vehicles gets no messages of ours
+            # a program bound to vehicles gets no messages of ours
+            if channel is not None and channel.translator is None:
                 if self.send_gates is not None and not self.may_leave(channel_id, message):
                     continue
                 sent |= channel.send(message, priority, key)
         return sent
 
-    # -- some times a second
+    # -- a few times a second
 
     def choose_links(self, now: float) -> None:
         """Change over to the better link of each vehicle that is heard on several."""

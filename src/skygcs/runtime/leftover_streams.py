@@ -24,7 +24,7 @@ from skygcs.runtime.vehicle_services import OnEvent
 WATCHED = frozenset({REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG})
 
 SETTLE_S = 8.0
-"""Time after a request until rates are measured again: they are smoothed over some seconds."""
+"""Time after a request until rates are measured again: they are smoothed over a few seconds."""
 
 ATTEMPTS = 3
 """Attempts, after which the stream is left as it is and reported: the vehicle may not follow requests, or another

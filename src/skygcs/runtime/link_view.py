@@ -10,7 +10,6 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.header import SIGNATURE_BYTES
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.preflight.facts import LinkFacts
-from skygcs.core.preflight.losses import LossWindow
 from skygcs.core.radio_link.capacity import (
     FRAME_BYTES,
     HALF_DUPLEX_SHARE,
@@ -20,6 +19,7 @@ from skygcs.core.radio_link.capacity import (
     setpoint_bytes_per_s,
 )
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.source_statistics import LossWindow
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel
 from skygcs.runtime.hub import Hub

@@ -30,12 +30,9 @@ from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.vehicle_services import OnEvent
+from skygcs.runtime.vehicle_services import MAX_VEHICLES, OnEvent
 
 PERIOD_S = 0.5
-
-MAX_VEHICLES = 300
-"""Vehicles in one round of turns, the most that a fleet has."""
 
 TurnState = Literal["flies", "waits", "done"]
 

@@ -27,10 +27,10 @@ from skygcs.core.protocols.onboard_log import BLOCK_BYTES, LogInfo, LogOutcome, 
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.disk_writer import WriterThread
 from skygcs.events import Event
 from skygcs.runtime.loop_clock import DeadlineTimer
 from skygcs.runtime.vehicle_services import VehicleServices
-from skygcs.writer_thread import WriterThread
 
 LOGS = standing("logs")
 

@@ -24,7 +24,7 @@ from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
 from skygcs.core.params import pck
 from skygcs.core.params.names import other_name
-from skygcs.core.protocols.base import Effect, ProgressReport, ProtocolMachine, Send
+from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import MAX_TEXTS
 from skygcs.core.protocols.file_download import FileDownload, FileOutcome
 from skygcs.core.protocols.parameter import ABSENT_PROBES, ParameterProtocol, ParamOutcome
@@ -104,6 +104,8 @@ _CLEARED = {"PARAM_SET": standing("param set")}
 
 T = TypeVar("T")
 
+Transfer = ParameterProtocol | ParamList | FileDownload
+
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
@@ -147,8 +149,8 @@ class VehicleParams:
         error = dialect.by_name.get("PARAM_ERROR")
         self._error_id = -1 if error is None else error.msgid
         # exchanges in progress, and their bounds
-        self._running: dict[ProtocolMachine, asyncio.Future[None]] = {}
-        self._taken: dict[ProtocolMachine, int] = {}
+        self._running: dict[Transfer, asyncio.Future[None]] = {}
+        self._taken: dict[Transfer, int] = {}
         """Number of messages of each that were sent."""
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._quiet_until: dict[str, float] = {}
@@ -229,8 +231,7 @@ class VehicleParams:
         self._cancelled += 1
         running = list(self._running)
         for protocol in running:
-            if isinstance(protocol, ParameterProtocol | ParamList | FileDownload):
-                self._apply(protocol, protocol.stop(self._loop.time(), result, message))
+            self._apply(protocol, protocol.stop(self._loop.time(), result, message))
         self._set_timer()
         return len(running)
 
@@ -574,7 +575,7 @@ class VehicleParams:
         if until > now:
             self._quiet_until[name] = until
 
-    async def _run(self, protocol: ParameterProtocol | ParamList | FileDownload) -> bool:
+    async def _run(self, protocol: Transfer) -> bool:
         """Run it to its outcome; True if no link took any of its messages."""
         done: asyncio.Future[None] = self._loop.create_future()
         self._running[protocol] = done
@@ -592,7 +593,7 @@ class VehicleParams:
             del self._taken[protocol]
             self._set_timer()
 
-    def _apply(self, protocol: ProtocolMachine, effects: Sequence[Effect]) -> None:
+    def _apply(self, protocol: Transfer, effects: Sequence[Effect]) -> None:
         for effect in effects:
             if isinstance(effect, Send):
                 self._transmit(protocol, effect)
@@ -606,7 +607,7 @@ class VehicleParams:
         if protocol.done and done is not None and not done.done():
             done.set_result(None)
 
-    def _transmit(self, protocol: ProtocolMachine, effect: Send) -> None:
+    def _transmit(self, protocol: Transfer, effect: Send) -> None:
         sysid, compid = self._vehicle.sysid, self._vehicle.compid
         info = self._set_info if effect.message == "PARAM_SET" else self._dialect.by_name[effect.message]
         assert info is not None

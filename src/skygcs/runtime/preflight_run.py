@@ -16,10 +16,9 @@ from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Answer, PreflightFacts
+from skygcs.core.preflight.facts import Answer, PreflightFacts, ReturnSetting, offered_heights
 from skygcs.core.preflight.health import FRESH_S
 from skygcs.core.preflight.report import Finding, Fix, PreflightReport, Severity, failed, passed
-from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
 from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
 from skygcs.core.protocols.command import Outcome
@@ -62,7 +61,7 @@ class Examined:
     at: float
     fixed: Mapping[str, ParamOutcome]
     unfixed: str = ""
-    return_height: ReturnHeight | None = None
+    return_height: ReturnSetting | None = None
 
 
 class Preflight:
@@ -187,7 +186,7 @@ class Preflight:
             await self._ask_messages()
         facts = self._facts(asked)
         height = return_height(facts)
-        returns = None if height is None else ReturnHeight(*height)
+        returns = None if height is None else ReturnSetting(*height)
         examined = Examined(examine(facts, wanted), self._loop.time(), fixed, unfixed, returns)
         if life == self._lives:
             self.last = examined

@@ -23,10 +23,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from skygcs.back_off import BackOff
 from skygcs.config.files import LOG_MODE, make_log_folder
+from skygcs.disk_writer import WriterThread
 from skygcs.events import Event
 from skygcs.tlog.format import TIME_BYTES, encode_record
-from skygcs.writer_thread import WriterThread
 
 FLUSH_PERIOD_S = 0.25
 """Longest time that a record waits in memory while the disk works; the write takes well below a second."""
@@ -196,7 +197,7 @@ class Recorder:
         self._fault: str | None = None
         self._fault_since = 0.0
         self._refused = False  # the last write failed
-        self._retry_s = RETRY_FIRST_S
+        self._back_off = BackOff(RETRY_FIRST_S, RETRY_MAX_S)
 
     def offer(self, raw: bytes, unix_us: int) -> None:
         """Record one frame. Hot: never blocks, never raises; without room the frame is dropped and counted.
@@ -251,8 +252,7 @@ class Recorder:
                         await self._many.wait()
             self._many.clear()
             if self._refused:
-                await asyncio.sleep(self._retry_s)
-                self._retry_s = min(self._retry_s * 2, RETRY_MAX_S)
+                await asyncio.sleep(self._back_off.after())
             self._flushing = loop.create_task(self._flush(), name="tlog flush")
             await asyncio.shield(self._flushing)  # let the thread finish its write, and count it
             if self._refused:
@@ -322,7 +322,7 @@ class Recorder:
     def _failed(self, reason: str) -> None:
         if self._fault is None:
             self._fault_since = asyncio.get_running_loop().time()
-            self._retry_s = RETRY_FIRST_S
+            self._back_off.reset()
             self._fault = reason
             self._report(
                 f"recording to {self._log_dir} stopped: {reason}; everything else goes on",

@@ -10,7 +10,7 @@ from skygcs.runtime.hub import Hub
 
 
 class SendGateWatch:
-    """`tick` some times a second, and after a change that is to show at once. Each change is an event."""
+    """`tick` a few times a second, and after a change that is to show at once. Each change is an event."""
 
     def __init__(self, hub: Hub, fleet: Fleet, names: dict[int, str], on_event: Callable[[Event], None]) -> None:
         """``names``: of the fleet file's vehicles, by system id."""

@@ -1,4 +1,4 @@
-"""Runs the monitor (`core.monitor`) over a fleet: evaluates it some times a second, publishes its events, carries out
+"""Runs the monitor (`core.monitor`) over a fleet: evaluates it a few times a second, publishes its events, carries out
 the holds that it asks for, and checks orders before they are sent."""
 
 from __future__ import annotations
@@ -353,7 +353,7 @@ class SeparationMonitor:
     def _mover(self, vehicle: Vehicle) -> Mover | None:
         """The vehicle of an order, where it is now; None if that is not known or nobody watches."""
         actor = self._actors.get(vehicle.key)
-        if self.mode == "off" or actor is None or vehicle.duplicate_beside:
+        if self.mode == "off" or actor is None or vehicle.ids.beside:
             return None
         here = fresh_position(vehicle, self._loop.time())
         if here is None or abs(here[0]) > 90.0:

@@ -324,7 +324,7 @@ class Signing:
         return text
 
     def _ahead_s(self, key: _Key) -> float:
-        """The time of this computer's clock."""
+        """How far the key's clock is ahead of this computer's, s."""
         return (key.clock.timestamp - self._wall()) / TICKS_PER_S
 
     def _now_text(self) -> str:

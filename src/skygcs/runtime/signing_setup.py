@@ -24,6 +24,7 @@ from skygcs.core.mavlink.msgids import SETUP_SIGNING, STATUSTEXT
 from skygcs.core.mavlink.signing import KEY_BYTES, is_signed_with, key_id
 from skygcs.core.protocols.command import MAX_TEXTS, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.source_statistics import RADIO_SOURCE
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.flight_lock import SigningClockReset
 from skygcs.core.vehicle.gate import standing
@@ -46,8 +47,7 @@ WAIT_S = 2.5
 
 ONLY_DISARMED = "a key is changed on the ground, disarmed"
 
-RADIO_SOURCE = 51 << 8 | 68
-"""Component id of a SiK or RFD900 radio."""
+RADIO_KEY = RADIO_SOURCE[0] << 8 | RADIO_SOURCE[1]
 
 
 class SigningSetup:
@@ -157,7 +157,7 @@ class SigningSetup:
     def _others_on(self, channel: Channel, vehicle: Vehicle) -> str | None:
         """Names other receivers of a channel, for a message; None: there are none."""
         config = channel.config
-        if config.role == "radio" or RADIO_SOURCE in channel.sources:
+        if config.role == "radio" or RADIO_KEY in channel.sources:
             return "a radio, received by everyone in range"
         if isinstance(config, UdpServerLinkConfig | UdpClientLinkConfig | TcpServerLinkConfig | TcpClientLinkConfig):
             if not _is_this_machine(channel.peer):

@@ -24,6 +24,7 @@ from typing import Any
 
 import structlog
 
+from skygcs.back_off import BackOff
 from skygcs.events import Event
 
 _log = structlog.get_logger("skygcs")
@@ -76,19 +77,17 @@ class SupervisedChild:
         """Keep it running until the task is cancelled. After a fault it may be called again."""
         await self.ended()
         wanted = self._wanted = object()
-        pause_s = FIRST_PAUSE_S
+        back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S)
         try:
             while True:
                 began = self._loop.time()
                 reason = await self._run_once(wanted)
-                if self._loop.time() - began >= STEADY_S:
-                    pause_s = FIRST_PAUSE_S
+                pause_s = back_off.after(self._loop.time() - began)
                 if not self._failing:
                     self._failing = True
                     text = f"the process of {self.what} has ended ({reason}); it is started again"
                     self._report(text, "ended", reason=reason)
                 await asyncio.sleep(pause_s)
-                pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
                 self.restarts += 1
         finally:
             self._stop()

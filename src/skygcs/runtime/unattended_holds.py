@@ -43,7 +43,7 @@ STATION_MESSAGES = (
 
 
 class UnattendedHolds:
-    """The watch over one vehicle: call `tick` some times a second."""
+    """The watch over one vehicle: call `tick` a few times a second."""
 
     def __init__(
         self,

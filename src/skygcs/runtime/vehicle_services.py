@@ -26,6 +26,9 @@ from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.undo_journal import UndoJournal
 
+MAX_VEHICLES = 300
+"""Vehicles of a fleet at most: those that one link may have, and room for those of others."""
+
 OnEvent = Callable[[Event], None]
 
 NewFlight = Callable[[Vehicle, VehicleConfig, "VehicleServices"], FlightElsewhere]

@@ -21,9 +21,8 @@ FLYING_ABOVE_M = 0.15
 def step(v: VehicleState, now: float, dt_s: float) -> None:
     """Move on by one tick of ``dt_s`` that ends at ``now``."""
     motion = v.motion
-    if (
-        v.landed and not v.armed and motion.on_ground and motion.groundspeed_mps == 0.0
-    ):  # most of a fleet most of the time
+    # most of a fleet most of the time
+    if v.landed and not v.armed and motion.on_ground and motion.groundspeed_mps == 0.0:
         v.battery.step(dt_s, flying=False)
         v.sensors.step()
         return

@@ -20,7 +20,7 @@ from skygcs.errors import RefusedError, SkygcsError
 from skygcs.web.sign_in import Role
 
 CHECK_CPU_S = 30
-"""The certificate of a plan for 50 vehicles takes some seconds on a slow computer."""
+"""The certificate of a plan for 50 vehicles takes a few seconds on a slow computer."""
 
 CHECK_TIMEOUT_S = 120.0
 """By the clock: a check yields to everything else (`NICE`), and beside busy programs gets a quarter of a processor. A

@@ -38,6 +38,7 @@ from typing import Any, Protocol
 
 import structlog
 
+from skygcs.back_off import BackOff
 from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.address import default_socket_path
@@ -226,12 +227,12 @@ class DaemonConnection:
 
     async def run(self, pages: Pages) -> None:
         """Connect, feed the pages until the connection is lost, and again; until it is cancelled."""
-        pause_s = FIRST_PAUSE_S
+        back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S)
         while True:
             try:
                 async with contextlib.AsyncExitStack() as stack:
                     await self._answered(self._connect(stack), "connecting", pages)
-                    pause_s = FIRST_PAUSE_S
+                    back_off.reset()
                     self._states.reset()
                     self._change("connected", pages, connected=True)
                     await self._serve(pages)
@@ -245,8 +246,7 @@ class DaemonConnection:
             if self.stopping:  # cancelled at the moment of the loss: a task group prefers its tasks' errors
                 return
             self.reconnects += 1
-            await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+            await asyncio.sleep(back_off.after())
 
     async def _connect(self, stack: contextlib.AsyncExitStack) -> None:
         """To the station socket, or the daemon's (see the table). Raises RpcError, in a group."""

@@ -38,7 +38,7 @@ USABLE_S = 5.0
 def measure(
     column: Column, vehicles: int, air_kbps: float, *, settle_s: float = SETTLE_S, measure_s: float = MEASURE_S
 ) -> Measured:
-    """Run one cell; takes some seconds of real time."""
+    """Run one cell; takes a few seconds of real time."""
     with contextlib.closing(Quiet()), tempfile.TemporaryDirectory() as folder:
         cell = _Cell(column, vehicles, air_kbps, Path(folder), settle_s, measure_s)
         return in_virtual_time(cell.run())

@@ -60,7 +60,7 @@ OWN_BYTES = 27
 
 
 def measure(column: Column, vehicles: int, *, settle_s: float = SETTLE_S, measure_s: float = MEASURE_S) -> Measured:
-    """Run one cell; takes some seconds of real time."""
+    """Run one cell; takes a few seconds of real time."""
     with contextlib.closing(Quiet()), tempfile.TemporaryDirectory() as folder:
         if column == "plain":
             return _PlainCell(vehicles, settle_s, measure_s).run()

@@ -71,7 +71,7 @@ def upload(vehicle, items, home):
     for item in items:
         commands.add(item)
 
-    def sent():  # it asks once only, and an autopilot gives up after some seconds
+    def sent():  # it asks once only, and an autopilot gives up after a few seconds
         try:
             commands.upload(timeout=20)
         except TimeoutError:

@@ -84,7 +84,7 @@ def params(system, name, value):
 
 
 def arm(action, telemetry):
-    def armed():  # its checks need some seconds after the position is there
+    def armed():  # its checks need a few seconds after the position is there
         try:
             action.arm()
         except ActionError as error:

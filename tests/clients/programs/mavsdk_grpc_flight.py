@@ -83,7 +83,7 @@ async def up(drone):
         try:
             await drone.action.arm()
             break
-        except Exception as error:  # its checks need some seconds after the position is there
+        except Exception as error:  # its checks need a few seconds after the position is there
             saw("not yet", error=str(error))
             await asyncio.sleep(2)
     await first(drone.telemetry.armed(), bool)

@@ -158,7 +158,7 @@ class Flight:
         def announce():
             self.link.waypoint_count_send(loader.count())
 
-        def uploaded():  # again from the start if the autopilot gave up, as it does after some seconds
+        def uploaded():  # again from the start if the autopilot gave up, as it does after a few seconds
             ask = announce
             while True:
                 found = self.receive(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], ask=ask)

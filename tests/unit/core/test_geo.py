@@ -152,3 +152,16 @@ def test_wrapping_keeps_the_direction_and_stays_in_range(angle: float) -> None:
 def test_compass_and_enu_yaw_turn_into_each_other(heading: float, yaw: float) -> None:
     assert geo.yaw_enu_from_heading_deg(heading) == pytest.approx(yaw)
     assert geo.heading_from_yaw_enu_deg(yaw) == pytest.approx(heading)
+
+
+ASKED = "; did you swap latitude and longitude?"
+
+
+def test_the_swap_is_asked_for_where_it_fits_and_only_there() -> None:
+    here = (43.78, -79.46)
+    assert geo.swapped_hint(-79.46, 43.78, here, 1000.0) == ASKED
+    assert geo.swapped_hint(43.78, -79.47, here, 1000.0) == "", "near as it is"
+    assert geo.swapped_hint(10.0, 20.0, here, 1000.0) == "", "far both ways"
+    assert geo.swapped_hint(120.0, 45.0, (45.0, 120.0), 1000.0) == ASKED, "no place on earth as it is"
+    assert geo.swapped_hint(120.0, 45.0, None, 0.0) == ASKED and geo.swapped_hint(45.0, 120.0, None, 0.0) == ""
+    assert geo.swapped_hint(float("nan"), 45.0, here, 1000.0) == ""

@@ -302,7 +302,7 @@ def test_a_disarmed_vehicle_high_above_its_home_is_parked_only_where_it_reports_
 def test_vehicles_that_cannot_be_watched_are_listed_with_the_reason() -> None:
     nowhere, recorded, twice = WatchedVehicle(1), WatchedVehicle(2), WatchedVehicle(3)
     recorded.vehicle.replayed = True
-    twice.vehicle.duplicate_beside = True
+    twice.vehicle.ids.beside = True
     fleet = Watched(nowhere, recorded, twice)
     for _ in range(20):
         for vehicle in fleet.fleet:

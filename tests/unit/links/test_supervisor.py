@@ -13,7 +13,7 @@ from skygcs.errors import LinkError
 from skygcs.events import Event
 from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
-from skygcs.links.supervisor import STABLE_AFTER_S, BackOff, LinkSupervisor
+from skygcs.links.supervisor import LinkSupervisor
 from support.hosts import RecordingHost
 
 pytestmark = pytest.mark.looptime
@@ -109,13 +109,6 @@ async def test_a_link_that_fails_soon_after_opening_backs_off_ever_longer_and_re
         link.fail("once more")
         await asyncio.sleep(1)
         assert link.opened_at[-1] - before == pytest.approx(0.5)
-
-
-def test_the_pauses_of_a_back_off() -> None:
-    back_off = BackOff(1.0, 30.0)
-    assert [back_off.after(0.0) for _ in range(7)] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
-    assert back_off.after(STABLE_AFTER_S - 0.1) == 30.0
-    assert [back_off.after(STABLE_AFTER_S), back_off.after(0.0)] == [1.0, 2.0]
 
 
 async def test_an_unexpected_exception_is_a_failure_told_with_its_type() -> None:

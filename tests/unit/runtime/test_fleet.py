@@ -22,9 +22,10 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.errors import RefusedError, TargetError
 from skygcs.events import Event
-from skygcs.runtime.fleet import MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet
+from skygcs.runtime.fleet import MAX_VEHICLES_OF_LINK, Fleet
 from skygcs.runtime.fleet_orders import MAX_KEPT, Order
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import MAX_VEHICLES
 from support.examples import is_deep
 from support.public_data import present, public_file
 from support.vehicles import (

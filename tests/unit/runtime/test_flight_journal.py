@@ -16,7 +16,8 @@ from skygcs.core.vehicle.flight_note import FlightNote
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.runtime import flight_journal
-from skygcs.runtime.flight_journal import FILE, FORMAT, MAX_NOTES, FlightJournal
+from skygcs.runtime.flight_journal import FILE, FORMAT, FlightJournal
+from skygcs.runtime.vehicle_services import MAX_VEHICLES
 
 NOTE = FlightNote(1, 1, "alpha", True, "this station's setpoints", ((1.5, b"\xfd\x00"),), 246.0, 40.0)
 
@@ -76,9 +77,9 @@ async def test_a_file_that_cannot_be_read_is_reported_and_remembered(tmp_path: P
 
 
 async def test_more_notes_than_vehicles_are_left_out(tmp_path: Path) -> None:
-    notes = [NOTE.as_json()] * (MAX_NOTES + 50)
+    notes = [NOTE.as_json()] * (MAX_VEHICLES + 50)
     (tmp_path / FILE).write_text(json.dumps({"format": FORMAT, "notes": notes}))
-    assert len(journal(tmp_path).recall()) == MAX_NOTES
+    assert len(journal(tmp_path).recall()) == MAX_VEHICLES
 
 
 async def test_a_disk_that_is_full_leaves_no_old_note_to_be_believed(

@@ -451,7 +451,7 @@ async def test_progress_is_told_at_most_once_a_second() -> None:
 
 async def test_two_vehicles_of_one_id_are_asked_nothing() -> None:
     rig = Rig(big_set(3), None)
-    rig.vehicle.duplicates = {rig.vehicle.key: "on udp and on radio"}
+    rig.vehicle.ids.others = {rig.vehicle.key: "on udp and on radio"}
     assert (await rig.params.get("X")).result == "refused"
     assert (await rig.params.load()).result == "refused"
     assert rig.sent == []

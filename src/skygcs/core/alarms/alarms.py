@@ -24,7 +24,7 @@ MAX_ALARMS = 500
 """A few for each of 300 vehicles; further ones displace those whose condition is over, the oldest first."""
 
 BEFORE_CAUSE_S = 15.0
-"""A vehicle is called lost after some seconds of silence; what happened to it in that time has the same cause."""
+"""A vehicle is called lost after a few seconds of silence; what happened to it in that time has the same cause."""
 
 FORMAT = 1
 

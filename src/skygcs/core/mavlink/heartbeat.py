@@ -39,7 +39,11 @@ log, OSD, IMU, GPS, winch, illuminator, gripper. Parachute (37) and undefined va
 
 DEFAULT_LOST_S = 5.0
 """Without a heartbeat of its own for this time the vehicle is lost, and the next one identifies it again.
-The default of ``vehicle_timeout_s`` in the fleet file."""
+The default of ``vehicle_timeout_s`` in the fleet file. Heartbeats come at 1 Hz; on a multipoint radio several in a row
+may be lost (Skybrush uses 5 s, too)."""
+
+HIGH_LATENCY_FACTOR = 4
+"""HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is lost after 20 s."""
 
 TYPE_CHANGE_S = 4.0
 """How long the known type must be silent before another type of the same autopilot is accepted (PX4 changes MAV_TYPE

@@ -244,11 +244,6 @@ def ardupilot_mode_name(vehicle_type: int, custom_mode: int) -> str:
     return _ardupilot_table(vehicle_type).get(custom_mode) or f"UNKNOWN({custom_mode})"
 
 
-def copter_mode_name(custom_mode: int) -> str:
-    """Name of an ArduCopter mode."""
-    return _COPTER.get(custom_mode) or f"UNKNOWN({custom_mode})"
-
-
 def copter_mode_number(name: str) -> int:
     """Number of an ArduCopter mode. Raises KeyError with a message for the user."""
     return _number_in(_COPTER, name)

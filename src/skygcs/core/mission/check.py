@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from skygcs.core.geo import distance_m
+from skygcs.core.geo import distance_m, swapped_hint
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.fence_check import FenceArea, fence_problems
@@ -24,7 +24,6 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
-from skygcs.core.reach import swapped_hint
 from skygcs.number_text import rounded
 
 MAX_HEIGHT_M = 500.0

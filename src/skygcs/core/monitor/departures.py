@@ -13,7 +13,7 @@ have changed places would descend through each other, whatever their heights.
     not clear of one that stays: it holds at the end of its        climbs where it stands, if its way is clear above
     return                                                         that one; else it is stuck
 
-It is asked again some times a second with the vehicles where they are then, so one leaves as soon as the part of
+It is asked again a few times a second with the vehicles where they are then, so one leaves as soon as the part of
 another's way that is still to come is clear of its own.
 """
 

@@ -42,7 +42,7 @@ BLIND_S = 3.0
 """A flying vehicle that cannot be watched is reported after so long: it may just have been found."""
 
 NEAR_LOST_M = 5.0
-"""Beyond the margin: a vehicle that holds drifts by some metres, and others that come so near are warned."""
+"""Beyond the margin: a vehicle that holds drifts by a few metres, and others that come so near are warned."""
 
 KIND = "separation"
 

@@ -74,7 +74,7 @@ class Sample(NamedTuple):
 
 @dataclass(slots=True)
 class Track:
-    """One watched vehicle. ``offset_m`` and what follows are as of the last `TrackTable.refresh`."""
+    """One watched vehicle. ``age_s`` and what follows are as of the last `TrackTable.refresh`."""
 
     vehicle: Vehicle
     footprint: Footprint
@@ -272,7 +272,7 @@ def is_flying(vehicle: Vehicle, now: float) -> bool:
     """True if it is to be taken for flying: it is under way, or its height or its telemetry contradicts that it stands
     or is disarmed. One that is disarmed and reports itself on the ground may stand high above its home."""
     if not vehicle.armed:
-        return vehicle.duplicate_beside or moves_disarmed(vehicle, now) is not None
+        return vehicle.ids.beside or moves_disarmed(vehicle, now) is not None
     if vehicle.under_way(now):
         return True
     position = vehicle.telemetry("position")
@@ -285,7 +285,7 @@ def _read(track: Track, now: float) -> str | None:
     track.lost = False
     if vehicle.replayed:
         return "it is heard in a recording only"
-    if vehicle.duplicate_beside:
+    if vehicle.ids.beside:
         return "two vehicles send with its system id on one link"
     position, at = vehicle.timed_telemetry("position")
     if position is None or at is None or position["lat_deg"] is None:

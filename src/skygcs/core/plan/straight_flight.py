@@ -10,17 +10,16 @@ Proposition (Turpin, Michael, Kumar: CAPT). If s·g ≥ 0 and |s|, |g| ≥ Δ, t
 Goals that may be exchanged are assigned so that (s_i - s_j)·(g_i - g_j) ≥ 0 for every pair. Exchanging the goals of a
 pair whose product is negative changes Σ|g_i - s_i|² by 2 (s_i - s_j)·(g_i - g_j) < 0, so exchanging while there is
 such a pair ends, because there are finitely many assignments; the end need not be the optimum, the products alone are
-enough. They are computed again from the result. In the downwash metric the same holds for scaled heights.
+enough. In the downwash metric the same holds for scaled heights.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from skygcs.core.plan.segment_distance import Array, point_segment, scaled
+from skygcs.core.plan.segment_distance import Array, scaled
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, rest_to_rest
 from skygcs.core.trajectory.piecewise import Vector
 
@@ -28,16 +27,6 @@ MAX_EXCHANGES = 1_000_000
 """255 vehicles need some thousand."""
 
 AT_GOAL_M = 1e-6
-
-
-class StraightPair(NamedTuple):
-    """The pair with the least distance, by index."""
-
-    first: int
-    second: int
-    distance_m: float
-    part: float
-    """β at that moment."""
 
 
 def assigned(starts: Sequence[Vector], goals: Sequence[Vector], downwash_ratio: float) -> list[int]:
@@ -66,29 +55,6 @@ def assigned(starts: Sequence[Vector], goals: Sequence[Vector], downwash_ratio: 
                 order[i], order[j] = order[j], order[i]
                 busy[i] = busy[j] = True
     return [int(index) for index in order]
-
-
-def least_product(starts: Sequence[Vector], goals: Sequence[Vector], downwash_ratio: float) -> float:
-    """The least (s_i - s_j)·(g_i - g_j) over all pairs, in m²; 0 for one vehicle."""
-    s, g = scaled(starts, downwash_ratio), scaled(goals, downwash_ratio)
-    first, second = np.triu_indices(len(s), 1)
-    if not len(first):
-        return 0.0
-    return float(((s[first] - s[second]) * (g[first] - g[second])).sum(axis=1).min())
-
-
-def closest_pair(
-    starts: Sequence[Vector], goals: Sequence[Vector], half_margins_m: Sequence[float], downwash_ratio: float
-) -> StraightPair | None:
-    """The pair with the least clearance when all fly straight by one time scaling; None for one vehicle."""
-    s, g = scaled(starts, downwash_ratio), scaled(goals, downwash_ratio)
-    first, second = np.triu_indices(len(s), 1)
-    if not len(first):
-        return None
-    distance, part = point_segment(np.zeros(3), s[first] - s[second], g[first] - g[second])
-    half = np.asarray(half_margins_m)
-    index = int(np.argmin(distance - half[first] - half[second]))
-    return StraightPair(int(first[index]), int(second[index]), float(distance[index]), float(part[index]))
 
 
 def straight_trajectories(starts: Sequence[Vector], goals: Sequence[Vector], limits: MotionLimits) -> list[Trajectory]:

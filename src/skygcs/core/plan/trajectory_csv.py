@@ -66,11 +66,6 @@ def read_trajectory_csv(source: str, data: bytes, limits: MotionLimits, vehicle:
     return {name: _trajectory(source, name, path, limits) for name, path in paths.items()}
 
 
-def read_points(source: str, data: bytes) -> dict[str, list[Vector]]:
-    """The points of each vehicle, whatever their times. Raises PlanFileError."""
-    return {name: path.points for name, path in read_paths(source, data).items()}
-
-
 def read_formation_csv(source: str, data: bytes) -> tuple[Vector, ...]:
     """The points of a formation: rows x,y,z in metres, about any point. Raises PlanFileError."""
     lines = rows(source, text_of(source, data))
@@ -148,16 +143,6 @@ def read_log_csv(source: str, data: bytes, origin: Origin, vehicle: str) -> Traj
         _bounded(source, where, path)
     require_vehicles(source, len(paths))
     return {name: _trajectory(source, name, path, MotionLimits()) for name, path in paths.items()}
-
-
-def write_trajectory_csv(points: Mapping[str, Sequence[TimedPoint]]) -> str:
-    """The text of timed points: the format of `read_trajectory_csv`."""
-    lines = [",".join(COLUMNS)]
-    for name, timed in points.items():
-        for t_s, (x, y, z), yaw_rad in timed:
-            yaw = "" if yaw_rad is None else f"{math.degrees(yaw_rad):.6g}"
-            lines.append(f"{name},{t_s:.4f},{x:.4f},{y:.4f},{z:.4f},{yaw}")
-    return "\n".join(lines) + "\n"
 
 
 def _header(source: str, lines: Iterable[tuple[int, list[str]]]) -> _Header:

@@ -1,12 +1,11 @@
 """Judge whether a vehicle is ready to fly: a table of checks, each a verdict with the figure, the limit and what to do.
 Pure.
 
-`rules`         what a parameter is expected to be, and what would make it so
-`expectations`  everything that is expected of one vehicle; defaults are sensible without a word in the fleet file
+`expectations`  everything that is expected of one vehicle, rules for its parameters among it; defaults are sensible
+                without a word in the fleet file
 `facts`         everything the checks look at, as plain values
 `report`        findings and what they add up to
 `health`        checks of what the vehicle reports of itself and of its link
 `settings`      checks of its parameters
 `table`         all of them in order, what they need, and `examine`
-`losses`        how much of a source was lost lately
 """

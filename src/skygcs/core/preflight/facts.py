@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
@@ -103,3 +103,25 @@ class PreflightFacts:
         """A telemetry group of the state that is not older than this, else None."""
         part: Mapping[str, Any] | None = self.state.get(section)
         return part if part is not None and part["age_s"] <= limit_s else None
+
+
+class ReturnSetting(NamedTuple):
+    """The parameter of the height in which a vehicle returns, and its units per metre."""
+
+    param: str
+    per_metre: float
+    height_m: float
+
+
+def offered_heights(heights: Mapping[str, ReturnSetting | None], apart_m: float) -> dict[str, float]:
+    """Return heights in metres so far apart that all vehicles may return at once, as when the ground station is lost:
+    in the order they have now, none lower than it is."""
+    offered: dict[str, float] = {}
+    last_m = -math.inf
+    for name, height in sorted(
+        ((n, h) for n, h in heights.items() if h is not None), key=lambda item: (item[1].height_m, item[0])
+    ):
+        last_m = max(height.height_m, last_m + apart_m)
+        offered[name] = float(math.ceil(last_m - 1e-9))
+        last_m = offered[name]
+    return offered

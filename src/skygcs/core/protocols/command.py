@@ -77,7 +77,7 @@ RESULT_NAMES = {
 _DETAIL = {7: "as COMMAND_LONG only", 8: "as COMMAND_INT only"}
 
 IN_PROGRESS = 5
-PROGRESS_UNKNOWN = 255
+"""MAV_RESULT of a command whose final answer is still to come."""
 
 
 @dataclass(frozen=True, slots=True)

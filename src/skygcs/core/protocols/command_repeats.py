@@ -164,20 +164,7 @@ COMMANDS: Mapping[int, RepeatRule] = {
     **_any("it is cancelled already", mav_cmd.DO_CANCEL_MAG_CAL),
     **_any("the same values are stored again", mav_cmd.PREFLIGHT_STORAGE, mav_cmd.PREFLIGHT_SET_SENSOR_OFFSETS),
     # questions
-    **_any(
-        "it is only answered twice",
-        mav_cmd.REQUEST_MESSAGE,
-        mav_cmd.GET_HOME_POSITION,
-        mav_cmd.REQUEST_PROTOCOL_VERSION,
-        mav_cmd.REQUEST_AUTOPILOT_CAPABILITIES,
-        mav_cmd.REQUEST_CAMERA_INFORMATION,
-        mav_cmd.REQUEST_CAMERA_SETTINGS,
-        mav_cmd.REQUEST_STORAGE_INFORMATION,
-        mav_cmd.REQUEST_CAMERA_CAPTURE_STATUS,
-        mav_cmd.REQUEST_FLIGHT_INFORMATION,
-        mav_cmd.REQUEST_VIDEO_STREAM_INFORMATION,
-        mav_cmd.REQUEST_VIDEO_STREAM_STATUS,
-    ),
+    **_any("it is only answered twice", *mav_cmd.QUESTIONS),
     **_same(
         "an autopilot has rates of its own for each of its ports",
         mav_cmd.SET_MESSAGE_INTERVAL,

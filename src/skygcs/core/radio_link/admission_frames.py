@@ -39,24 +39,8 @@ COMMANDS = frozenset({COMMAND_INT, COMMAND_LONG})
 ORDERS = frozenset({SET_MODE, MISSION_SET_CURRENT})
 """Orders with messages of their own; all others are COMMANDS that are no REQUESTS."""
 
-REQUESTS = frozenset(
-    {
-        mav_cmd.GET_HOME_POSITION,
-        mav_cmd.GET_MESSAGE_INTERVAL,
-        mav_cmd.REQUEST_MESSAGE,
-        mav_cmd.REQUEST_PROTOCOL_VERSION,
-        mav_cmd.REQUEST_AUTOPILOT_CAPABILITIES,
-        mav_cmd.REQUEST_CAMERA_INFORMATION,
-        mav_cmd.REQUEST_CAMERA_SETTINGS,
-        mav_cmd.REQUEST_STORAGE_INFORMATION,
-        mav_cmd.REQUEST_CAMERA_CAPTURE_STATUS,
-        mav_cmd.REQUEST_FLIGHT_INFORMATION,
-        mav_cmd.REQUEST_VIDEO_STREAM_INFORMATION,
-        mav_cmd.REQUEST_VIDEO_STREAM_STATUS,
-    }
-)
-"""MAV_CMDs that only ask: home, a message and its interval, versions, capabilities, what cameras are like. Ground
-stations send a dozen of them to each vehicle as they connect."""
+REQUESTS = mav_cmd.QUESTIONS | {mav_cmd.GET_MESSAGE_INTERVAL}
+"""MAV_CMDs that only ask."""
 
 FORCED = 21196.0
 """param2 of a disarm that is obeyed in the air (common.xml, MAV_CMD_COMPONENT_ARM_DISARM)."""

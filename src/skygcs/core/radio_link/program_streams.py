@@ -32,7 +32,7 @@ ABOUT_HZ = 0.2
 
 
 class Stream(NamedTuple):
-    """Stream that a program asked for: a group of ArduPilot (``msgid`` None), or one message."""
+    """Stream that a program asked for: a group of ArduPilot (``message`` None), or one message (``group`` None)."""
 
     group: int | None
     message: str | None

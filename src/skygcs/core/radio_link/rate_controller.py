@@ -107,7 +107,7 @@ class _Watch:
 
 @dataclass(slots=True)
 class RateController:
-    """One vehicle's. Call `plan` whenever the wanted rates change, `due` some times a second for the next request.
+    """One vehicle's. Call `plan` whenever the wanted rates change, `due` a few times a second for the next request.
 
     Acknowledgements are not needed: over a shared radio one takes as long as several requests, and what arrives is the
     better evidence.

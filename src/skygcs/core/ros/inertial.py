@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from skygcs.core.geo import quaternion_from_euler
 from skygcs.core.mavlink.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4
 from skygcs.core.ros.memory import UNKNOWN_COVARIANCE, Sample, VehicleMemory
-from skygcs.core.ros.rotations import Quaternion, Vector, enu_orientation, flu_from_frd, quaternion_from_rpy, wxyz, xyz
+from skygcs.core.ros.rotations import Quaternion, Vector, enu_orientation, flu_from_frd, wxyz, xyz
 from skygcs.core.ros.stamps import header
 
 ORIENTATION_VARIANCE = 1.0**2
@@ -32,7 +33,7 @@ def attitude(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> 
     """ATTITUDE, unless the vehicle sends quaternions."""
     if memory.has_attitude_quaternion:
         return iter(())
-    return _data(fields, quaternion_from_rpy(fields["roll"], fields["pitch"], fields["yaw"]), arrival_ns, memory)
+    return _data(fields, quaternion_from_euler(fields["roll"], fields["pitch"], fields["yaw"]), arrival_ns, memory)
 
 
 def attitude_quaternion(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> Iterator[Sample]:

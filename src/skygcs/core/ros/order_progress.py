@@ -211,7 +211,7 @@ class OrderProgress:
         return End(ABORTED, f"replaced: {order} was ordered")
 
     def on_time(self, now: float) -> End | None:
-        """To be called some times a second."""
+        """To be called a few times a second."""
         if now - self._accepted_at > SETTLE_S:
             self._own_due = 0
         if now - self._heard_at > SILENT_S:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.geo import EnuFrame, Origin, quaternion_from_euler
 from skygcs.core.ros.memory import (
     COVARIANCE_APPROXIMATED,
     COVARIANCE_DIAGONAL,
@@ -28,7 +28,6 @@ from skygcs.core.ros.rotations import (
     enu_from_ned,
     enu_orientation,
     flu_from_frd,
-    quaternion_from_rpy,
     rotated,
     wxyz,
     xyz,
@@ -258,7 +257,7 @@ def _target(fields: dict[str, Any], arrival_ns: int, memory: VehicleMemory) -> d
         "type_mask": fields["type_mask"],
         "velocity": xyz(enu_from_ned(fields["vx"], fields["vy"], fields["vz"])),
         "acceleration_or_force": xyz(enu_from_ned(fields["afx"], fields["afy"], fields["afz"])),
-        "yaw": yaw_of(enu_orientation(quaternion_from_rpy(0.0, 0.0, fields["yaw"]))),
+        "yaw": yaw_of(enu_orientation(quaternion_from_euler(0.0, 0.0, fields["yaw"]))),
         "yaw_rate": -fields["yaw_rate"],
     }
 

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mavlink.modes import px4_mode_name
+from skygcs.core.mavlink.modes import CUSTOM_MODE_ENABLED, px4_mode_name
 from skygcs.core.ros.rotations import enu_from_ned, xyz
 from skygcs.core.ros.services import ARM_DISARM, RequestError
 from skygcs.core.ros.setpoints import (
@@ -50,8 +50,6 @@ ACK_TYPE = "px4_msgs/msg/VehicleCommandAck"
 
 PARTS = ("position", "velocity", "acceleration")
 """Parts of a setpoint, the outermost loop first."""
-
-CUSTOM_MODE_ENABLED = 1
 
 LAST_COMMAND = 0xFFFF
 """Larger ones are PX4's own, which no MAVLink message carries."""

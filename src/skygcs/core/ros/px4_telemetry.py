@@ -17,9 +17,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from skygcs.core.geo import quaternion_from_euler
 from skygcs.core.ros.interfaces import Interfaces
 from skygcs.core.ros.memory import Sample, number
-from skygcs.core.ros.rotations import Quaternion, quaternion_from_rpy, yaw_of
+from skygcs.core.ros.rotations import Quaternion, yaw_of
 from skygcs.core.ros.stamps import EPOCH_US, VehicleClock
 
 Fields = Mapping[str, Any]
@@ -193,7 +194,7 @@ def _attitude(stamps: dict[str, int], q: Quaternion) -> dict[str, Any]:
 
 def _orientation(name: str, fields: Fields) -> Quaternion:
     if name == "ATTITUDE":
-        return quaternion_from_rpy(fields["roll"], fields["pitch"], fields["yaw"])
+        return quaternion_from_euler(fields["roll"], fields["pitch"], fields["yaw"])
     return fields["q1"], fields["q2"], fields["q3"], fields["q4"]
 
 

@@ -37,19 +37,6 @@ def enu_orientation(q: Sequence[float]) -> Quaternion:
     return -HALF * (w + z), -HALF * (x + y), HALF * (y - x), HALF * (z - w)
 
 
-def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Yaw about z, then pitch about y, then roll about x (MAVLink's Euler angles), radians."""
-    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
-    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
-    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
 def yaw_of(q: Sequence[float]) -> float:
     """The yaw of a quaternion, radians."""
     w, x, y, z = q

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic
+from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic, quaternion_from_euler
 from skygcs.core.ros.memory import FrameNames
-from skygcs.core.ros.rotations import quaternion_from_rpy, wxyz, xyz
+from skygcs.core.ros.rotations import wxyz, xyz
 from skygcs.core.ros.stamps import header
 from skygcs.core.ros.topics import Topic
 
@@ -60,7 +60,7 @@ def mavlink_frames(frames: FrameNames, now_ns: int) -> list[dict[str, Any]]:
         {
             "header": header(now_ns, frame),
             "child_frame_id": f"{frame}{suffix}",
-            "transform": {"translation": xyz((0.0, 0.0, 0.0)), "rotation": wxyz(quaternion_from_rpy(*turn))},
+            "transform": {"translation": xyz((0.0, 0.0, 0.0)), "rotation": wxyz(quaternion_from_euler(*turn))},
         }
         for (frame, suffix), turn in turns.items()
     ]

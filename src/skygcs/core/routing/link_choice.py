@@ -273,7 +273,7 @@ class Choice(NamedTuple):
 
 
 class LinkChoice:
-    """The choice for one vehicle: `decide` some times a second, and when a frame came over a standby link."""
+    """The choice for one vehicle: `decide` a few times a second, and when a frame came over a standby link."""
 
     __slots__ = ("_reports", "changed_at", "changes", "unreported")
 

@@ -7,6 +7,7 @@ the live daemon, its compiled fast path, `tlog info` and `tlog plot` all count w
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 WINDOW = 64
@@ -36,7 +37,15 @@ UNCOUNTED_COMPIDS = frozenset({190})
 """Mission Planner and QGC relay under component 190 with sequence numbers of several senders."""
 
 RADIO_SOURCE = (51, 68)
-"""SiK radios insert RADIO_STATUS as 51/68; RADIO and RADIO_STATUS may come with one sequence number."""
+"""SiK and RFD900x radios insert RADIO_STATUS as 51/68; RADIO and RADIO_STATUS may come with one sequence number."""
+
+LOSS_WINDOW_S = 30.0
+"""Recent losses are those of this time."""
+
+SAMPLE_S = 1.0
+
+LEAST_FRAMES = 20
+"""With fewer frames a single lost one is 5 % or more."""
 
 _MASK = (1 << WINDOW) - 1
 _RAMP = bytes(range(256)) * 3
@@ -205,3 +214,30 @@ class SourceStats:
             "bytes_per_s": round(self.bytes_per_s, 1),
             "age_s": round(now - self.last_at, 3),
         }
+
+
+class LossWindow:
+    """Recent loss of a source. Call `sample` once a second with its counters, which may restart at any time. Bounded
+    memory."""
+
+    __slots__ = ("_marks",)
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[float, int, int]] = deque(maxlen=int(LOSS_WINDOW_S / SAMPLE_S) + 1)
+
+    def sample(self, frames: int, lost: int, now: float) -> None:
+        if self._marks and frames < self._marks[-1][1]:
+            self._marks.clear()
+        self._marks.append((now, frames, lost))
+
+    def frames(self) -> int:
+        """Frames received within the window."""
+        return self._marks[-1][1] - self._marks[0][1] if self._marks else 0
+
+    def loss(self) -> float | None:
+        """Lost / (received + lost) within the window, 0..1; None with fewer than `LEAST_FRAMES`."""
+        frames = self.frames()
+        if frames < LEAST_FRAMES:
+            return None
+        lost = max(0, self._marks[-1][2] - self._marks[0][2])
+        return lost / (frames + lost)

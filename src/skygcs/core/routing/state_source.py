@@ -34,16 +34,13 @@ from typing import Any, Literal
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, discovers, heartbeat_fields
+from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, HIGH_LATENCY_FACTOR, discovers, heartbeat_fields
 from skygcs.core.mavlink.modes import SAFETY_ARMED
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME, TIMESYNC
 from skygcs.core.routing.link_choice import DEFAULT_COST, LinkChoice, LinkHealth, best_standby
 
 STATE_CHANNEL_SILENT_S = 2.5
 """Two heartbeats may be lost; what a channel that is silent for longer showed contradicts nothing."""
-
-HIGH_LATENCY_FACTOR = 4
-"""A satellite channel sends HIGH_LATENCY2 every 5 s instead of heartbeats (as `core.vehicle`)."""
 
 BOOT_AGREES_S = 3.0
 """Two channels of one vehicle show the same clock except for their delays: a second or two on a multipoint radio. Two
@@ -358,7 +355,7 @@ class StateSource:
             self.reports.append(SourceReport("duplicate_over", None, self.present_id))
 
     def choose(self, received: Callable[[int], tuple[int, int] | None], now: float) -> None:
-        """Assess each channel, and change over to a better one; some times a second. ``received``: frames received and
+        """Assess each channel, and change over to a better one; a few times a second. ``received``: frames received and
         lost of this vehicle on a channel."""
         fastest = min((h.least_delayed_boot_at for h in self._heard.values()), default=math.inf)
         for channel_id, heard in self._heard.items():

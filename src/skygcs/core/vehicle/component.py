@@ -9,6 +9,7 @@ from collections import deque
 from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import AUTOPILOT_INVALID
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.message_cache import Slot
 from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
@@ -18,8 +19,6 @@ MAX_MESSAGES = 64
 
 MAX_TEXTS = 8
 """Texts kept of one component, the newest."""
-
-AUTOPILOT_INVALID = 8
 
 Texts = list[StatusText]
 

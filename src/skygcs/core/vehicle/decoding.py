@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from skygcs.core.geo import wrap_deg_180
+from skygcs.core.geo import euler_from_quaternion, quaternion_from_euler, wrap_deg_180
 from skygcs.core.vehicle.decoder import Decoder, Values
 
 TelemetryGroup = dict[str, Any]
@@ -139,27 +139,6 @@ def decode_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
         "quaternion": _numbers(quaternion, digits=5),
         "time_boot_s": boot_ms / 1000,
     }
-
-
-def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """(w, x, y, z) of the rotation yaw, then pitch, then roll; radians."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-def euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """(roll, pitch, yaw) in radians; the inverse of `quaternion_from_euler`."""
-    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return roll, pitch, yaw
 
 
 def decode_battery(v: Values, decoder: Decoder) -> TelemetryGroup | None:

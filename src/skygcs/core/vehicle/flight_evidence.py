@@ -97,7 +97,7 @@ def contradiction(vehicle: Vehicle, now: float) -> str | None:
     """Why it may be flying although its heartbeat shows it disarmed; None if it is armed, or certainly disarmed."""
     if vehicle.armed:
         return None
-    if vehicle.duplicate_beside:
+    if vehicle.ids.beside:
         return "two vehicles send with its ids on one link"
     return flight_evidence(vehicle, now)
 
@@ -116,8 +116,8 @@ def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
     """Why a heartbeat that shows the vehicle disarmed is doubted; None if it is not."""
     if (evidence := contradiction(vehicle, now)) is not None:
         return f"its heartbeat shows it disarmed, but {evidence}"
-    if vehicle.duplicate_elsewhere is not None:
-        return f"two vehicles have its system id ({vehicle.duplicate_elsewhere})"
+    if vehicle.ids.elsewhere is not None:
+        return f"two vehicles have its system id ({vehicle.ids.elsewhere})"
     return None
 
 
@@ -203,7 +203,7 @@ class _Height(NamedTuple):
 
 
 class LandingWatch:
-    """One flight's end: `look` some times a second from its start on, then `verdict`."""
+    """One flight's end: `look` a few times a second from its start on, then `verdict`."""
 
     def __init__(self, now: float) -> None:
         self._began_at = now
@@ -231,7 +231,7 @@ class LandingWatch:
             return Landed(False, self._against)
         if self._disarmed_at is None or vehicle.armed:
             return Landed(None, "it is armed")
-        if vehicle.duplicate_beside:
+        if vehicle.ids.beside:
             return Landed(None, "two vehicles send with its ids on one link")
         since = self._disarmed_at + FALL_S
         for name in ("position", "attitude"):

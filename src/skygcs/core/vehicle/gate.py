@@ -66,16 +66,13 @@ HARMLESS_MESSAGES = frozenset(
     }
 )
 """Messages that change nothing that is flown, whatever they say. Not HEARTBEAT: one that somebody else times keeps the
-failsafe for a lost ground station from acting. Not STATUSTEXT's like: ADSB_VEHICLE makes a vehicle evade."""
+failsafe for a lost ground station from acting. Not ADSB_VEHICLE: it makes a vehicle evade."""
 
 HARMLESS_COMMANDS = frozenset(
     {
         # reading, and questions
-        *(mav_cmd.GET_HOME_POSITION, mav_cmd.GET_MESSAGE_INTERVAL, mav_cmd.SET_MESSAGE_INTERVAL),
-        *(mav_cmd.REQUEST_MESSAGE, mav_cmd.REQUEST_PROTOCOL_VERSION, mav_cmd.REQUEST_AUTOPILOT_CAPABILITIES),
-        *(mav_cmd.REQUEST_CAMERA_INFORMATION, mav_cmd.REQUEST_CAMERA_SETTINGS, mav_cmd.REQUEST_STORAGE_INFORMATION),
-        *(mav_cmd.REQUEST_CAMERA_CAPTURE_STATUS, mav_cmd.REQUEST_FLIGHT_INFORMATION, mav_cmd.DO_SEND_BANNER),
-        *(mav_cmd.REQUEST_VIDEO_STREAM_INFORMATION, mav_cmd.REQUEST_VIDEO_STREAM_STATUS, mav_cmd.RUN_PREARM_CHECKS),
+        *(*mav_cmd.QUESTIONS, mav_cmd.GET_MESSAGE_INTERVAL, mav_cmd.SET_MESSAGE_INTERVAL),
+        *(mav_cmd.DO_SEND_BANNER, mav_cmd.RUN_PREARM_CHECKS),
         # cameras, gimbals, lights
         *(mav_cmd.DO_CONTROL_VIDEO, mav_cmd.DO_DIGICAM_CONFIGURE, mav_cmd.DO_DIGICAM_CONTROL),
         *(mav_cmd.DO_MOUNT_CONFIGURE, mav_cmd.DO_MOUNT_CONTROL, mav_cmd.DO_SET_CAM_TRIGG_DIST),

@@ -23,7 +23,7 @@ _NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
 
 
 class Slot:
-    """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over some seconds.
+    """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over a few seconds.
 
     ``unpacked``: the frame that was unpacked last and the values read from it (see `MessageCache.values`).
     """

@@ -543,7 +543,7 @@ def is_at_home(vehicle: Vehicle, *, flying: bool) -> bool:
 
 
 class HomeWatch:
-    """How long one vehicle has been at its home without a break. To be asked some times a second."""
+    """How long one vehicle has been at its home without a break. To be asked a few times a second."""
 
     def __init__(self) -> None:
         self._since: float | None = None

@@ -515,7 +515,7 @@ class OffboardController:
             fix_ok=estimate_view.fix_ok,
             airborne=vehicle.in_air(now) if flies_disarmed is None else True,
             flies_disarmed=flies_disarmed,
-            two_senders=vehicle.duplicate_beside,
+            two_senders=vehicle.ids.beside,
             battery_percent=estimate_view.battery_percent,
             inside_fence=breach is None,
             reference_inside_fence=reference_breach is None,

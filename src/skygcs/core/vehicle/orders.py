@@ -10,13 +10,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypedDict, Unpack
 
-from skygcs.core.geo import distance_m, geodetic_from_enu
+from skygcs.core.geo import REACH_M, distance_m, geodetic_from_enu, swapped_hint
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
-from skygcs.core.reach import REACH_M, swapped_hint
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle

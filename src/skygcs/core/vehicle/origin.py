@@ -16,13 +16,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from skygcs.core.geo import Origin, distance_m, wrap_deg_360
+from skygcs.core.geo import Origin, distance_m, swapped_hint, wrap_deg_360
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec
-from skygcs.core.reach import swapped_hint
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import firmware_name
+from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.order_plan import Expectation, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -49,7 +49,6 @@ POSES_ALT_M = 0.5
 an altitude each time it begins with poses again (Ekf::controlEvHeightFusion, resetAltitudeTo(-measurement)): with the
 origin at 180 m one without poses for 0.6 s took itself for 180 m too low, and climbed at 2.8 m/s (SIH, 1.16.1)."""
 
-ORIGIN_MESSAGE = "GPS_GLOBAL_ORIGIN"
 SETTING_MESSAGE = "SET_GPS_GLOBAL_ORIGIN"
 
 

@@ -29,15 +29,13 @@ from typing import Literal
 
 from skygcs.core.control.cascade import Quaternion, Vector, ned_frd_from_enu_flu
 from skygcs.core.control.gains import out_of_range
-from skygcs.core.geo import Origin, enu_from_world
+from skygcs.core.geo import Origin, enu_from_world, quaternion_from_euler
 from skygcs.core.vehicle.frames import yaw_enu_rad
+from skygcs.core.vehicle.setpoint import UNIT_TOLERANCE
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 
 Kind = Literal["attitude", "rates", "acceleration"]
-
-UNIT_TOLERANCE = 1e-3
-"""ArduCopter's: it ignores a quaternion whose squared length is farther from 1."""
 
 ROUNDING = 1e-9
 """By which a figure that was computed for the limit itself may exceed it."""
@@ -172,11 +170,11 @@ def raw_from_world(
     else:
         if roll_deg is None or pitch_deg is None or yaw_deg is None:
             raise RefusedError("an attitude by angles needs roll_deg, pitch_deg and yaw_deg")
-        world = _from_angles(*_three("roll, pitch and yaw", (roll_deg, pitch_deg, yaw_deg)))
+        roll, pitch, yaw = map(math.radians, _three("roll, pitch and yaw", (roll_deg, pitch_deg, yaw_deg)))
+        world = quaternion_from_euler(roll, -pitch, yaw)  # nose up is against the y axis of an FLU body
     # turn it into the vehicle's local frame
     east, north, _ = enu_from_world((1.0, 0.0, 0.0), origin)
-    turn = math.atan2(north, east) / 2.0
-    enu = _times((math.cos(turn), 0.0, 0.0, math.sin(turn)), world)
+    enu = _turned_up(world, math.atan2(north, east))
     return RawSetpoint("attitude", thrust, attitude_ned_frd=ned_frd_from_enu_flu(enu))
 
 
@@ -197,25 +195,11 @@ def _unit(quaternion: Sequence[float]) -> Quaternion:
     return w, x, y, z
 
 
-def _from_angles(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Quaternion:
-    """FLU body in the world: yaw, then pitch, then roll. The pitch is positive nose up, against the body's y axis."""
-    roll, pitch, yaw = (math.radians(angle) / 2.0 for angle in (roll_deg, -pitch_deg, yaw_deg))
-    about_x = (math.cos(roll), math.sin(roll), 0.0, 0.0)
-    about_y = (math.cos(pitch), 0.0, math.sin(pitch), 0.0)
-    about_z = (math.cos(yaw), 0.0, 0.0, math.sin(yaw))
-    return _times(_times(about_z, about_y), about_x)
-
-
-def _times(p: Quaternion, q: Quaternion) -> Quaternion:
-    """The rotation ``q``, then ``p``."""
-    pw, px, py, pz = p
-    qw, qx, qy, qz = q
-    return (
-        pw * qw - px * qx - py * qy - pz * qz,
-        pw * qx + px * qw + py * qz - pz * qy,
-        pw * qy - px * qz + py * qw + pz * qx,
-        pw * qz + px * qy - py * qx + pz * qw,
-    )
+def _turned_up(attitude: Quaternion, angle_rad: float) -> Quaternion:
+    """The attitude, then a turn about the vertical, counter-clockwise from above."""
+    cos, sin = math.cos(angle_rad / 2.0), math.sin(angle_rad / 2.0)
+    w, x, y, z = attitude
+    return cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w
 
 
 class RawSource:

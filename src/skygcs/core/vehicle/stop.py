@@ -49,7 +49,7 @@ def require_confirmed(action: str, vehicles: Mapping[str, str | None], confirm: 
     """Raises RefusedError for a kill, or for the action "disarm" with a duplicate system id, without the right word of
     confirmation. The error names the vehicles and the word.
 
-    ``vehicles``: vehicle name -> where a second vehicle sends with its ids (`Vehicle.duplicate_where`). The word
+    ``vehicles``: vehicle name -> where a second vehicle sends with its ids (`SharedIds.where`). The word
     contains the number of vehicles that would get the order, duplicates included: a script written for one vehicle
     does not kill them all, and the word can be typed quickly.
     """

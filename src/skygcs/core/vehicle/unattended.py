@@ -101,7 +101,7 @@ Effect = HoldIt | HoldsAfterAll
 
 
 class UnattendedWatch:
-    """Watch which program flies one vehicle, by what was noted. `tick` some times a second."""
+    """Watch which program flies one vehicle, by what was noted. `tick` a few times a second."""
 
     def __init__(self, flown_before: str | None = None) -> None:
         """``flown_before``: who flew it until this daemon began, by its journal; None: not known."""
@@ -118,11 +118,6 @@ class UnattendedWatch:
         self._next_at = -math.inf
         self._ordered = 0
         self._unconfirmed = False
-
-    @property
-    def nobody_since(self) -> float | None:
-        """When it was seen first that nobody flies it; None: somebody does."""
-        return self._since
 
     @property
     def owed_to(self) -> str | None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HeartbeatCheck, HeartbeatOrigin
+from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, HIGH_LATENCY_FACTOR, HeartbeatCheck, HeartbeatOrigin
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.vehicle_class import (
     HOLD_REACH,
@@ -25,12 +25,13 @@ from skygcs.core.mavlink.vehicle_class import (
     program_of_banner,
     vehicle_class,
 )
-from skygcs.core.protocols.command import Ack
+from skygcs.core.protocols.command import IN_PROGRESS, Ack
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup
 from skygcs.core.vehicle.firmware import banner_program, firmware_from_banner, firmware_from_version
 from skygcs.core.vehicle.message_cache import MessageCache, Slot
+from skygcs.core.vehicle.shared_ids import Finding, SharedIds
 from skygcs.core.vehicle.state import (
     ACTIVE,
     AIRBORNE,
@@ -45,12 +46,6 @@ from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS, StatusText, StatusT
 from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude, standing_amsl_m
 from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
-
-DEFAULT_TIMEOUT_S = 5.0
-"""Heartbeats come at 1 Hz; on a multipoint radio several in a row may be lost (Skybrush uses 5 s, too)."""
-
-HIGH_LATENCY_FACTOR = 4
-"""HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is lost after 20 s."""
 
 RATE_PERIOD_S = 1.0
 LANDED_FRESH_S = 10.0
@@ -68,16 +63,6 @@ BOOT_TEXT_MIN_UP_S = 30.0
 
 GCS_SYSID_PARAMETERS = (b"SYSID_MYGCS", b"MAV_GCS_SYSID")
 """ArduPilot's parameter up to 4.6, and from 4.7 on."""
-
-REPORT_AGAIN_S = 60.0
-"""Period of the reports while others send heartbeats with its ids."""
-
-BESIDE_OVER_S = 5.0
-"""Heartbeats come at 1 Hz: after this time without a contradicting heartbeat or a second clock, only one sender is left
-on the vehicle's channel."""
-
-IN_PROGRESS = 5
-"""MAV_RESULT of a command whose final answer is still to come."""
 
 MAX_ANSWERS = 64
 """Commands whose last answer is kept: more than skygcs sends to one vehicle."""
@@ -98,8 +83,6 @@ class Vehicle:
     """True if a pilot's transmitter belongs to it, by the fleet file; None: it does not say."""
     program: Program | None = None
     """The ArduPilot program of its banner; None: no banner has come, or it is not ArduPilot."""
-    duplicate_beside = False
-    """Two vehicles send with these ids on one channel: this state mixes both."""
     arming_at = arming_until = -math.inf
     """When an arming of ours was last sent, and until when it may be armed by that before a heartbeat shows it."""
     _vtol_state = 0
@@ -112,7 +95,7 @@ class Vehicle:
         *,
         name: str | None = None,
         groups: tuple[str, ...] = (),
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        timeout_s: float = DEFAULT_LOST_S,
         decoder: Decoder | None = None,
         replayed: bool = False,
     ) -> None:
@@ -122,9 +105,6 @@ class Vehicle:
         self.origin_generation = 0
         """Number of the fleet's origin: positions with the same number are in the same frame."""
         self.connected = False
-        self.duplicates: Mapping[int, str] = {}
-        """The fleet's table by sysid << 8 | compid: where another vehicle sends with these ids, and where this one
-        does."""
         self.replayed = replayed
         """True if it exists only in a recording: it takes no orders."""
         self.type = self.autopilot = self.base_mode = self.custom_mode = self.system_status = 0
@@ -141,6 +121,7 @@ class Vehicle:
         """By command, its last final MAV_RESULT to any station, and when that came; of the latest `MAX_ANSWERS`."""
         self.boot = BootClock()
         self.heartbeats = HeartbeatCheck(compid, timeout_s)
+        self.ids = SharedIds(sysid, compid)
         self.takeoff = TakeoffAltitude()
         self.parameters = Parameters()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
@@ -159,8 +140,6 @@ class Vehicle:
         self._known_since: float | None = None
         self._rates_at: float | None = None
         self._clock_at = -math.inf
-        self._other_heartbeats: dict[str, tuple[int, float]] = {}
-        """Number of others' heartbeats with these ids, and when that was reported."""
         self._assembler = StatusTextAssembler()
         self._enu: tuple[TelemetryGroup | None, Origin | None, list[float] | None] = (None, None, None)
         self._handlers = self._message_handlers()
@@ -234,8 +213,8 @@ class Vehicle:
             events += self._check_clocks(now)
         elif self.boot.went_back_at is not None:
             events += self._check_clocks(now)
-        if self.duplicate_beside:
-            events += self._check_beside(now)
+        if self.ids.beside:
+            events += self._found(self.ids.tick(self.heartbeats, self.boot, now))
         return tuple(events)
 
     def _update_takeoff_altitude(self, now: float) -> None:
@@ -330,19 +309,14 @@ class Vehicle:
         return self.hold_radius_m(now) * HOLD_REACH
 
     @property
-    def duplicate_elsewhere(self) -> str | None:
-        """Where another vehicle sends with these ids on another channel; None: nowhere."""
-        return self.duplicates.get(self.key)
-
-    @property
     def duplicate(self) -> bool:
         """True if another vehicle sends with its ids, on any channel."""
-        return self.duplicate_beside or self.duplicate_elsewhere is not None
+        return self.ids.where is not None
 
     @property
     def duplicate_where(self) -> str | None:
-        """Where the two vehicles with one system id send; None: there is only one."""
-        return self.duplicate_elsewhere or ("on one link" if self.duplicate_beside else None)
+        """See `SharedIds.where`."""
+        return self.ids.where
 
     @property
     def failsafe(self) -> bool:
@@ -488,46 +462,14 @@ class Vehicle:
         return self._on_life(vehicle_type, autopilot, base_mode, custom_mode, system_status, now)
 
     def _on_other_heartbeat(self, origin: HeartbeatOrigin, fields: tuple[int, ...], now: float) -> Events:
-        """A heartbeat with the vehicle's ids that is not its own leaves the state unchanged; if it is another
-        vehicle's, plain orders are refused."""
-        count, reported_at = self._other_heartbeats.get(origin, (0, -math.inf))
-        count += 1
-        if now - reported_at < REPORT_AGAIN_S:
-            self._other_heartbeats[origin] = count, reported_at
-            return () if origin == "other" else self._set_beside(True)
-        self._other_heartbeats[origin] = count, now
+        """A heartbeat with the vehicle's ids that is not its own leaves the state unchanged."""
         kind = self.enum_name("MAV_TYPE", fields[0])
         autopilot = self.enum_name("MAV_AUTOPILOT", fields[1])
-        arming = "armed" if fields[2] & modes.SAFETY_ARMED else "disarmed"
-        shown = f"HEARTBEAT of type {kind}, autopilot {autopilot}, {arming}"
-        data = {"sysid": self.sysid, "compid": self.compid, "type": kind, "autopilot": autopilot, "count": count}
-        if origin == "other":
-            text = (
-                f"another component sends with the ids {self.sysid}/{self.compid} of the autopilot: {shown}; it is "
-                "ignored; give that component an id of its own (an onboard computer is 191)"
-            )
-            return (self._event("conflict", text, {**data, "change": "other_heartbeat"}),)
-        text = (
-            f"two vehicles with system id {self.sysid} send on one link: {shown} contradicts {self.mode}, "
-            f"{'armed' if self.armed else 'disarmed'}, and is ignored; switch one off and give it another id"
-        )
-        self.duplicate_beside = True
-        return (self._event("duplicate", text, {**data, "change": "duplicate"}),)
+        known = f"{self.mode}, {_arming(self.base_mode)}"
+        return self._found(self.ids.on_heartbeat(origin, kind, autopilot, _arming(fields[2]), known, now))
 
-    def _set_beside(self, beside: bool) -> Events:
-        if beside == self.duplicate_beside:
-            return ()
-        self.duplicate_beside = beside
-        text = f"two vehicles with system id {self.sysid} send on one link"
-        if not beside:
-            text = f"only one vehicle with system id {self.sysid} sends on its link any more"
-        return (self._event("duplicate", text, {"change": "duplicate" if beside else "duplicate_over"}),)
-
-    def _check_beside(self, now: float) -> Events:
-        contradicted = now - self.heartbeats.contradicted_at <= BESIDE_OVER_S
-        if contradicted or self.heartbeats.alternating or self.boot.two_clocks(now):
-            return ()
-        return self._set_beside(False)
+    def _found(self, finding: Finding | None) -> Events:
+        return () if finding is None else (self._event(*finding),)
 
     def _on_high_latency(self, payload: bytes, now: float) -> Events:
         """HIGH_LATENCY2 replaces the heartbeat on a satellite link. It has no armed bit, so ``armed`` stays."""
@@ -667,14 +609,7 @@ class Vehicle:
         if self.boot.on_boot_ms(boot_ms, now):
             text = f"rebooted, up for {boot_ms / 1000:.1f} s"
             return (self._rebooted(now, text, since=now if went_back_at is None else went_back_at),)
-        if self.boot.two_clocks(now) and not self.duplicate_beside:
-            self.duplicate_beside = True
-            text = (
-                f"two vehicles with system id {self.sysid} send on one link: their clocks (time_boot_ms) differ; "
-                "switch one off and give it another id"
-            )
-            return (self._event("duplicate", text, {"change": "duplicate", "sysid": self.sysid}),)
-        return ()
+        return self._found(self.ids.on_clock(self.boot, now))
 
     def restart(self, now: float, text: str) -> Events:
         """It restarted on another channel, or another vehicle replaces it."""
@@ -691,3 +626,7 @@ class Vehicle:
         self.answers.clear()
         self.message_cache.forget_before(since, keep="HEARTBEAT")
         return self._event("reboot", text, {})
+
+
+def _arming(base_mode: int) -> str:
+    return "armed" if base_mode & modes.SAFETY_ARMED else "disarmed"

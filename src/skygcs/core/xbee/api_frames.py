@@ -16,7 +16,6 @@ from typing import Generic, TypeVar
 
 START = 0x7E
 ESCAPE = 0x7D
-ESCAPED = frozenset({START, ESCAPE, 0x11, 0x13})
 ESCAPE_XOR = 0x20
 
 BROADCAST = 0xFFFF

@@ -13,10 +13,11 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, Literal, Protocol
 
+from skygcs.back_off import BackOff
 from skygcs.core.clock_offset import ClockComparison, ClockOffset
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError, SkygcsError
 from skygcs.events import Event
-from skygcs.links.supervisor import BackOff
+from skygcs.links.supervisor import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, STABLE_AFTER_S
 from skygcs.runtime.loop_clock import PAUSED, exact_clock
 
 JsonObject = dict[str, Any]
@@ -186,7 +187,8 @@ class CompanionLink:
 
     async def run(self) -> None:
         """Until cancelled. Nothing that a companion does ends it."""
-        back_off = BackOff()  # one that comes back into the Wi-Fi is connected within five seconds
+        # one that comes back into the Wi-Fi is connected within five seconds
+        back_off = BackOff(FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, STABLE_AFTER_S)
         while True:
             reason = await self._one_connection()
             up_s = self._loop.time() - self.since if self.state == "up" else 0.0

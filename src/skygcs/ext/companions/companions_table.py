@@ -11,8 +11,6 @@ from skygcs.config.addresses import HostAndPort
 from skygcs.config.models import FleetConfig, TcpServerLinkConfig, UdpServerLinkConfig
 from skygcs.config.tables import KeyPath, Model, Problem
 
-DEFAULT_RPC_PORT = 5790
-
 HostText = Annotated[str, Field(min_length=1, max_length=253, pattern=r"^[A-Za-z0-9._:%-]+$")]
 """A name or a numeric address, without a port."""
 

@@ -43,7 +43,7 @@ class ContactState(StrEnum):
 
 
 class GroundContact:
-    """The contact of one vehicle. Call `tick` some times a second; it returns what is to be ordered, or None."""
+    """The contact of one vehicle. Call `tick` a few times a second; it returns what is to be ordered, or None."""
 
     __slots__ = ("_since", "action", "lost_s", "state")
 

@@ -203,9 +203,8 @@ def read_password(config: CorrectionsConfig) -> str:
         password = os.environ.get(config.password_env, "")
         if not password:
             raise LinkError(f"the environment variable {config.password_env} (password_env) is not set")
-        if (
-            len(password) > MAX_PASSWORD_BYTES or not password.isprintable()
-        ):  # bytes that are no UTF-8 are not printable
+        # bytes that are no UTF-8 are not printable
+        if len(password) > MAX_PASSWORD_BYTES or not password.isprintable():
             raise LinkError(f"the environment variable {config.password_env} (password_env) holds no password")
         return password
     path = config.password_file

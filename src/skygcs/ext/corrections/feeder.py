@@ -15,11 +15,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Literal, Protocol
 
+from skygcs.back_off import BackOff
 from skygcs.core.radio_link.corrections import MAX_TYPES
 from skygcs.errors import LinkError, RefusedError
 from skygcs.events import Event
 from skygcs.ext.corrections.ntrip import RefusedByCaster
-from skygcs.links.supervisor import BackOff
+from skygcs.links.supervisor import STABLE_AFTER_S
 from skygcs.runtime.correction_feed import RATE_S, CorrectionFeed
 from skygcs.runtime.loop_clock import PAUSED
 
@@ -97,7 +98,7 @@ class Feeder:
 
     async def run(self) -> None:
         """Until cancelled. Nothing that a source does ends it."""
-        back_off = BackOff(FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S)
+        back_off = BackOff(FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, STABLE_AFTER_S)
         try:
             while True:
                 reason, pause_s = await self._one_life(back_off)

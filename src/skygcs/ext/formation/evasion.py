@@ -3,7 +3,7 @@
 A reference asks for the velocity straight to its place, unless that comes too near another within `LOOK_S`; then for
 those turned aside as well, the best first: by how much they leave the straight way, and how soon they come near
 (reciprocal velocity obstacles: van den Berg, Lin and Manocha, ICRA 2008). One that has not come on for `STUCK_S` flies
-a detour for some seconds. No way around is promised: where the place is taken, it waits.
+a detour for a few seconds. No way around is promised: where the place is taken, it waits.
 """
 
 from __future__ import annotations

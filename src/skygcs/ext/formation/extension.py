@@ -260,7 +260,7 @@ class Formation(Extension[FormationConfig]):
         ratio: float,
         now: float,
     ) -> Leader:
-        """The leader at the begin: in the middle of all, where it is wanted, or where the vehicle is that leads."""
+        """The leader at the beginning: in the middle of all, where it is wanted, or where the vehicle is that leads."""
         names = list(starts)
         middle = wanted.at_enu_m or middle_of(list(starts.values()))
         if lead is not None:

@@ -38,7 +38,7 @@ class FormationStartParams(TargetsParams):
 
 
 class FormationMoveParams(MethodParams):
-    """A place for the leader to fly to, or a velocity for some seconds; neither: stay."""
+    """A place for the leader to fly to, or a velocity for a few seconds; neither: stay."""
 
     to_enu_m: Place | None = None
     vel_enu_mps: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
@@ -136,7 +136,7 @@ async def formation_start(context: Context, params: FormationStartParams) -> Jso
 
 
 def formation_move(context: Context, params: FormationMoveParams) -> JsonObject:
-    """Send the virtual leader to a place, or fly it with a velocity for some seconds; without either it stays."""
+    """Send the virtual leader to a place, or fly it with a velocity for a few seconds; without either it stays."""
     keeper = _keeper(context)
     if params.to_enu_m is not None:
         speed_mps = keeper.config.speed_mps if params.speed_mps is None else params.speed_mps

@@ -6,7 +6,7 @@ its `MotionBounds` allow, and stands. `SeparationFilter.step` looks at every pai
 it, and takes an acceleration only if no pair comes nearer than its distance on all that way; a reference for which none
 is found goes on along its backup.
 
-What is promised, by induction over the steps: at the begin all stand, and a step along the backups of the step before
+What is promised, by induction over the steps: at the start all stand, and a step along the backups of the step before
 is the rest of a way that was looked at, so there is always a way that keeps every distance, whatever is asked for. It
 is a safety filter with backup trajectories (Wabersich and Zeilinger, "Linear model predictive safety certification for
 learning-based control", CDC 2018; Gurriet et al., "A scalable safety critical control framework for nonlinear systems",
@@ -140,7 +140,7 @@ class Member:
 
 @dataclass(slots=True)
 class SeparationFilter:
-    """`step` once per period. All references stand at the begin."""
+    """`step` once per period. All references stand at the beginning."""
 
     members: dict[str, Member]
     bounds: MotionBounds

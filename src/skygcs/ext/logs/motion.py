@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.geo import EnuFrame, Origin, quaternion_from_euler
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatChecks
@@ -21,7 +21,6 @@ from skygcs.core.vehicle.decoding import (
     decode_battery,
     decode_gps,
     decode_position,
-    quaternion_from_euler,
 )
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.tlog.format import LogEntry

@@ -17,10 +17,10 @@ from prometheus_client.process_collector import ProcessCollector
 from skygcs import __version__
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.ext.metrics.table import METRICS
+from skygcs.links.base import CHANNEL_TOTALS
 from skygcs.metrics.exposition import Labels, Samples, exposed
 from skygcs.rpc.context import Services
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.channel_statistics import CHANNEL_TOTALS
 from skygcs.runtime.link_view import LinkWatch
 from skygcs.runtime.vehicle_actor import VehicleActor
 

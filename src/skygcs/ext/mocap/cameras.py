@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING
 
-from skygcs.core.geo import Origin, enu_from_geodetic
-from skygcs.ext.mocap.pose import CaptureFrame, Pose, from_euler, ned_frd, product
+from skygcs.core.geo import Origin, enu_from_geodetic, quaternion_from_euler
+from skygcs.ext.mocap.pose import CaptureFrame, Pose, ned_frd, product
 from skygcs.ext.mocap.recording import CaptureFrameData
 from skygcs.sim.rng import Rng
 
@@ -75,7 +75,7 @@ class CaptureCameras:
             away_m, angle = rng.uniform(*JUMP_M), rng.uniform(0.0, pi)
             x += away_m * (1.0 if angle > pi / 2 else -1.0)
         n = errors.noise_m
-        turned = from_euler(*(errors.noise_rad * rng.gauss() for _ in range(3)))
+        turned = quaternion_from_euler(*(errors.noise_rad * rng.gauss() for _ in range(3)))
         q = product(true_pose(vehicle, self._origin, now).q, turned)
         pose = Pose(now, (x + n * rng.gauss(), y + n * rng.gauss(), z + n * rng.gauss()), q)
         seen = self._last[name] = self._frame.from_enu(pose, self._origin)
@@ -86,7 +86,7 @@ def true_pose(vehicle: VehicleState, origin: Origin, now: float) -> Pose:
     """Where a simulated vehicle truly is, in ENU about the origin, its body FLU."""
     plain = Origin(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
     body = vehicle.motion
-    frd = from_euler(body.roll_rad, body.pitch_rad, body.yaw_rad)
+    frd = quaternion_from_euler(body.roll_rad, body.pitch_rad, body.yaw_rad)
     # the two half turns of `ned_frd` are their own inverses, so it leads back as well
     q = ned_frd(Pose(now, (0.0, 0.0, 0.0), frd)).q
     return Pose(now, enu_from_geodetic(*vehicle.true_position(), plain), q)

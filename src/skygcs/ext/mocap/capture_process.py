@@ -21,6 +21,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from skygcs.back_off import BackOff
 from skygcs.cancellation import carried_through
 from skygcs.child_process import start_process
 from skygcs.events import Event
@@ -69,7 +70,7 @@ class CaptureProcess:
 
     async def run(self) -> None:
         """Keep it running until the task is cancelled, or a recording has ended."""
-        pause_s = FIRST_PAUSE_S
+        back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S)
         while True:
             self._connected_at = None
             reason = await self._run_once()
@@ -77,20 +78,19 @@ class CaptureProcess:
                 self._report("ended", f"motion capture: {self.text} has ended")
                 return
             if self._was_steady():
-                pause_s = FIRST_PAUSE_S
+                back_off.reset()
             self.state, self.text = "waiting", reason
             if not self._failing:
                 self._failing = True
                 self._report("failed", f"motion capture: {reason}; it is tried again")
-            await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+            await asyncio.sleep(back_off.after())
             self.restarts += 1
 
     def _was_steady(self) -> bool:
         return self._connected_at is not None and self._loop.time() - self._connected_at >= STEADY_S
 
     def tick(self, now: float) -> None:
-        """Called some times a second: kills a process that does nothing any more."""
+        """Called a few times a second: kills a process that does nothing any more."""
         process = self._process
         if process is None or process.returncode is not None:
             return

@@ -17,14 +17,14 @@ import asyncio
 from dataclasses import dataclass
 
 from skygcs.core.geo import Origin
-from skygcs.core.vehicle.origin import ORIGIN_MESSAGE
+from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
 from skygcs.runtime.home_orders import push_origin
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 RETRY_S = 10.0
-"""ArduPilot takes no origin before its estimator has begun, some seconds after its start."""
+"""ArduPilot takes no origin before its estimator has begun, a few seconds after its start."""
 
 TRIES = 6
 

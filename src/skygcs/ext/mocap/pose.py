@@ -106,22 +106,6 @@ def ned_frd(pose: Pose) -> Pose:
     return Pose(pose.at, (north, east, -up), product(product(NED_FROM_ENU, pose.q), FLU_FROM_FRD))
 
 
-def euler(q: Quaternion) -> Vector:
-    """Roll, pitch and yaw in radians (intrinsic z-y-x, as MAVLink has them)."""
-    w, x, y, z = q
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return roll, pitch, yaw
-
-
-def from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """The inverse of `euler`."""
-    about_x = (math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0)
-    about_y = (math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0)
-    return product(product(about_up(yaw_rad), about_y), about_x)
-
-
 def about_up(angle_rad: float) -> Quaternion:
     """A turn about z, counter-clockwise from above."""
     return math.cos(angle_rad / 2), 0.0, 0.0, math.sin(angle_rad / 2)

@@ -24,7 +24,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from skygcs.ext.mocap.pose import Pose, euler, ned_frd
+from skygcs.core.geo import euler_from_quaternion
+from skygcs.ext.mocap.pose import Pose, ned_frd
 
 PoseMessage = Literal["vision_position_estimate", "odometry"]
 
@@ -59,7 +60,7 @@ def message_of(
     usec = max(1, round((pose.at - latency_s) * 1e6))
     x, y, z = pose.pos_m
     if kind == "vision_position_estimate":
-        roll, pitch, yaw = euler(pose.q)
+        roll, pitch, yaw = euler_from_quaternion(*pose.q)
         return "VISION_POSITION_ESTIMATE", {
             **{"usec": usec, "x": x, "y": y, "z": z, "roll": roll, "pitch": pitch, "yaw": yaw},
             "covariance": list(UNKNOWN_COVARIANCE),

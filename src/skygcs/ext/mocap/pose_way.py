@@ -16,7 +16,7 @@ from __future__ import annotations
 
 
 class PoseWay:
-    """Call `choose` some times a second."""
+    """Call `choose` a few times a second."""
 
     __slots__ = ("channel_id", "kept_despite", "why_none")
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
+from skygcs.core.preflight.facts import ReturnSetting, offered_heights
 from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.errors import RefusedError, TargetError
@@ -120,7 +120,7 @@ class Checked:
     certificate: Any = None
     way: Any = None
     sources: dict[str, dict[str, list[Any]]] | None = None
-    heights: dict[str, ReturnHeight | None] | None = None
+    heights: dict[str, ReturnSetting | None] | None = None
     apart_m: float = 0.0
     new_heights: dict[str, float] = field(default_factory=dict)
     """Return heights in metres that are to be set before the flight begins."""
@@ -321,7 +321,7 @@ async def write_heights(checked: Checked, tasks: TaskSet, ending: Callable[[], b
 
 
 async def _restore_heights(
-    checked: Checked, written: Sequence[VehicleActor], before: Mapping[str, ReturnHeight | None]
+    checked: Checked, written: Sequence[VehicleActor], before: Mapping[str, ReturnSetting | None]
 ) -> None:
     """The return heights as they were, of those whose new one was sent."""
     for actor in written:

@@ -13,7 +13,7 @@ from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.monitor.order_check import FORGET
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.plan.margins import DEFAULT, MarginRule
-from skygcs.core.preflight.return_heights import ReturnHeight
+from skygcs.core.preflight.facts import ReturnSetting
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry
@@ -362,16 +362,16 @@ def _reach(actor: VehicleActor, prepared: Prepared, frame: EnuFrame, measured: M
     return Reach(tuple(homes), tuple(frame.to_geodetic(*place) for place in sampled(ways)), tube_m)
 
 
-async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnHeight | None]:
+async def return_heights(actors: Sequence[VehicleActor]) -> dict[str, ReturnSetting | None]:
     """In which height each returns, read from its parameters."""
     slots = asyncio.Semaphore(PREFLIGHT_READERS)
 
-    async def one(actor: VehicleActor) -> ReturnHeight | None:
+    async def one(actor: VehicleActor) -> ReturnSetting | None:
         async with slots:
             for name, per_metre in itertools.chain(*actor.vehicle.abilities.return_heights):  # a copter has one
                 outcome = await actor.params.get(name)
                 if outcome.ok and outcome.param is not None and outcome.number is not None:
-                    return ReturnHeight(outcome.param.name, per_metre, float(outcome.number) / per_metre)
+                    return ReturnSetting(outcome.param.name, per_metre, float(outcome.number) / per_metre)
         return None
 
     async with asyncio.TaskGroup() as group:

@@ -72,9 +72,6 @@ MISSION_LEFT = (
 )
 """A mission is certified from where it began."""
 
-PAUSE_WAIT_S = 30.0
-"""The longest stop: 5 m/s with 1 m/s² takes five seconds."""
-
 
 class PlanFleet(Vehicles, Protocol):
     """The parts of the fleet that a plan needs."""

@@ -15,7 +15,7 @@ MAX_UPLOADS = 4
 """At the same time, of all clients: 128 MiB at most."""
 
 KEPT_S = 60.0
-"""After its last part. A part takes a fraction of a second, over the slowest network some seconds."""
+"""After its last part. A part takes a fraction of a second, over the slowest network a few seconds."""
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ RESTART_S = 2.0
 """A SiK radio passes data on again after about a second; the RFD900x boots through its boot loader."""
 
 REMOTE_RESTART_S = 8.0
-"""A remote radio has to find the network again; the field's reports speak of some seconds."""
+"""A remote radio has to find the network again; the field's reports speak of a few seconds."""
 
 TRIES_AFTER_RESTART = 3
 

@@ -120,7 +120,7 @@ def estimate(frames: tuple[Sequence[Sent], Sequence[Sent]], ends: Ends) -> Timin
     if not all(any(grid.way == way for grid in grids) for way in WAYS):
         raise RefusedError(
             f"too few frames arrived to find the rounds (at least {LEAST_ARRIVALS} of a size and way are needed): "
-            "measure longer (--seconds), or with less loss: antennas on, radios some metres apart"
+            "measure longer (--seconds), or with less loss: antennas on, radios a few metres apart"
         )
     # their period, weighted by arrivals, with its error
     total = sum(grid.weight for grid in grids)

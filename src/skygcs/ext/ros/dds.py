@@ -266,7 +266,7 @@ class DdsNode:
         return made
 
     def count_readers(self) -> None:
-        """Look who reads each topic now; to be called some times a second."""
+        """Look who reads each topic now; to be called a few times a second."""
         for publication in self.publications.values():
             publication.count_readers()
 

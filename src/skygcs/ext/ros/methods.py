@@ -39,7 +39,7 @@ class RosVehicle(MethodParams):
 
 
 class RosReport(MethodParams):
-    """Report that the process sends once in some seconds."""
+    """Report that the process sends once in a few seconds."""
 
     domain: int
     network: Text

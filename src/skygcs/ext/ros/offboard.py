@@ -62,7 +62,7 @@ class Engage:
 
 
 class Offboard:
-    """OFFBOARD of one vehicle. `on_demand` with each setpoint, `next_step` some times a second and after each state."""
+    """OFFBOARD of one vehicle. `on_demand` with each setpoint, `next_step` a few times a second and after a state."""
 
     def __init__(self) -> None:
         self.state: Literal["idle", "wished", "engaging", "flying"] = "idle"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import structlog
 
+from skygcs.back_off import BackOff
 from skygcs.cancellation import ended
 from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
@@ -116,20 +117,20 @@ def _node_of(config: RosConfig, loop: asyncio.AbstractEventLoop) -> tuple[Node, 
 
 async def _serve(bridge: Bridge, options: Options) -> None:
     """Connect, and again after the connection was lost: a daemon that restarts finds the same topics."""
-    pause_s, lost = FIRST_PAUSE_S, False
+    back_off, lost = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S), False
     while True:
         try:
             async with connect(options.socket, token=options.token) as gcs:
                 if lost:
                     _log.info("the daemon is there again")
-                pause_s, lost = FIRST_PAUSE_S, False
+                back_off.reset()
+                lost = False
                 await bridge.serve(gcs)
         except (DaemonUnreachable, RpcError) as error:
             if not lost:
                 _log.warning("no connection to the daemon; it is tried again", reason=str(error))
             lost = True
-        await asyncio.sleep(pause_s)
-        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+        await asyncio.sleep(back_off.after())
 
 
 def _on_input(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> None:

@@ -22,6 +22,7 @@ from typing import Any
 
 import structlog
 
+from skygcs.back_off import BackOff
 from skygcs.core.ros import ros1
 from skygcs.core.ros.interfaces import Fields, InterfaceError, Interfaces
 from skygcs.core.ros.topics import DEPTHS, LATCHED, Quality
@@ -221,20 +222,20 @@ class RospyNode:
 
     async def run(self) -> None:
         """Keep the process running until the task is cancelled. Raises SkygcsError when rospy is not installed."""
-        pause_s, told = FIRST_PAUSE_S, False
+        back_off, reported = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S), False
         while True:
             began = asyncio.get_running_loop().time()
             code = await self._run_once()
             if code == NO_ROSPY:
                 raise SkygcsError(f"ROS 1 needs rospy for {self._python}: apt-get install python3-rospy")
             if asyncio.get_running_loop().time() - began > LONGEST_PAUSE_S:
-                pause_s, told = FIRST_PAUSE_S, False
-            if not told:
-                told = True
+                back_off.reset()
+                reported = False
+            if not reported:
+                reported = True
                 reason = f"no master at {self.master}" if code == NO_MASTER else f"exit code {code}"
                 _log.warning("ROS 1 is not there; it is tried again", reason=reason)
-            await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+            await asyncio.sleep(back_off.after())
 
     async def drained(self, timeout_s: float) -> None:
         """Wait until requests are answered, and then for the process, which does not report what went out."""

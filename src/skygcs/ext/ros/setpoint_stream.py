@@ -175,7 +175,7 @@ class SetpointStream:
             self._vehicle.log(WARNING, f"setpoint refused: {reason}", self._unix_ns())
 
     def settle(self) -> None:
-        """A refusal that is over for SETTLED_S may be logged again; to be called some times a second."""
+        """A refusal that is over for SETTLED_S may be logged again; to be called a few times a second."""
         if self.refusal is None and self._clock() - self._refused_at > SETTLED_S:
             self._refused_kind = ""
 

@@ -97,7 +97,7 @@ class VehicleActions:
             self._settle(under_way, under_way.progress.on_event(event))
 
     def step(self) -> None:
-        """Do what is due; to be called some times a second."""
+        """Do what is due; to be called a few times a second."""
         now = self._clock()
         if (under_way := self._under_way) is not None:
             self._settle(under_way, under_way.progress.on_time(now))

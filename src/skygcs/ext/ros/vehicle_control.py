@@ -28,7 +28,7 @@ ERROR, INFO = 3, 6
 
 
 class VehicleControl:
-    """Control of one vehicle, from its discovery on. `on_state` with each of its states, `step` some times a second."""
+    """Control of a vehicle, from its discovery on. `on_state` with each of its states, `step` a few times a second."""
 
     def __init__(
         self,

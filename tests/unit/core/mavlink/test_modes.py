@@ -57,10 +57,10 @@ def test_px4_modes_agree_with_pymavlinks_table() -> None:
 
 def test_arducopter_modes_agree_with_pymavlinks_table_and_the_dialects_enum() -> None:
     for number, name in mavutil.mode_mapping_acm.items():
-        assert modes.copter_mode_name(number) == name
+        assert modes.ardupilot_mode_name(2, number) == name
         assert modes.copter_mode_number(name) == number
     for number, entry in flight_dialect().enums["COPTER_MODE"].items():
-        assert modes.copter_mode_name(number) == entry.removeprefix("COPTER_MODE_")
+        assert modes.ardupilot_mode_name(2, number) == entry.removeprefix("COPTER_MODE_")
 
 
 @each(
@@ -122,7 +122,7 @@ def test_an_unknown_name_is_refused_with_near_ones() -> None:
 def test_unknown_numbers_show_themselves() -> None:
     assert modes.px4_mode_name(99 << 16) == "UNKNOWN(99.0)"
     assert modes.px4_mode_name(4 << 16 | 77 << 24) == "UNKNOWN(4.77)"
-    assert modes.copter_mode_name(12) == "UNKNOWN(12)"
+    assert modes.ardupilot_mode_name(2, 12) == "UNKNOWN(12)"
 
 
 def test_a_generic_autopilot_is_named_by_its_flags_and_takes_no_mode_names() -> None:

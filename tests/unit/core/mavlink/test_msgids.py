@@ -18,7 +18,7 @@ SIMULATOR = "protocol.py"
 
 
 def numbers(module: ModuleType) -> dict[str, int]:
-    return {name: value for name, value in vars(module).items() if name.isupper()}
+    return {name: value for name, value in vars(module).items() if name.isupper() and isinstance(value, int)}
 
 
 @each(("name", "number"), numbers(mav_cmd).items())

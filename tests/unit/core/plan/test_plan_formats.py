@@ -19,8 +19,8 @@ from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPla
 from skygcs.core.plan.plan_files import read_plan
 from skygcs.core.plan.plan_json import read_plan_json, write_plan_json
 from skygcs.core.plan.skyc import read_skyc, write_skyc
-from skygcs.core.plan.trajectory_csv import read_log_csv, read_trajectory_csv, write_trajectory_csv
-from skygcs.core.trajectory import MotionLimits, Piece, TimedPoint, Trajectory, motion_peaks
+from skygcs.core.plan.trajectory_csv import read_log_csv, read_trajectory_csv
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, motion_peaks
 from skygcs.errors import PlanFileError, TrajectoryError
 from support.examples import examples
 from support.table import each
@@ -97,11 +97,11 @@ def test_a_csv_that_cannot_be_flown_is_refused_with_its_line(text: str, words: s
     assert str(refused.value).startswith(f"f.csv: {words}")
 
 
-def test_written_points_are_read_again() -> None:
-    points = {"alpha": [TimedPoint(0.0, (1.0, 2.0, 3.0), 0.5), TimedPoint(2.5, (4.0, 2.0, 3.0), 1.0)]}
-    found = read_trajectory_csv("f.csv", write_trajectory_csv(points).encode(), LIMITS)["alpha"]
+def test_a_yaw_is_read_in_degrees_counter_clockwise() -> None:
+    rows = "vehicle,t,x,y,z,yaw\nalpha,0,1,2,3,0\nalpha,2.5,4,2,3,90\n"
+    found = read_trajectory_csv("f.csv", rows.encode(), LIMITS)["alpha"]
     assert found.at(2.5).pos_enu_m == pytest.approx((4.0, 2.0, 3.0))
-    assert found.at(2.5).yaw_rad == pytest.approx(1.0, abs=1e-6)
+    assert found.at(2.5).yaw_rad == pytest.approx(math.pi / 2, abs=1e-6)
 
 
 # --- logs -------------------------------------------------------------------------------------------------------------

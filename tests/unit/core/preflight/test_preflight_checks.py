@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import pytest
-
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.preflight import external_vision, health, settings
-from skygcs.core.preflight.expectations import Expectations
+from skygcs.core.preflight.expectations import Expectations, Rule
 from skygcs.core.preflight.facts import Answer, LinkFacts, PreflightFacts
-from skygcs.core.preflight.losses import LossWindow
 from skygcs.core.preflight.report import PreflightReport, Severity, Verdict, failed, passed, unknown
-from skygcs.core.preflight.rules import Rule
 from skygcs.core.preflight.table import CHECKS, examine, needed_messages, needed_params
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks
 from support.table import each
@@ -408,21 +404,6 @@ def test_every_parameter_that_a_class_is_judged_by_is_asked_for(kind: VehicleCla
 
 def test_names_of_checks_are_different() -> None:
     assert len({check.name for check in CHECKS}) == len(CHECKS)
-
-
-def test_losses_of_the_last_while() -> None:
-    window = LossWindow()
-    assert window.loss() is None
-    window.sample(1000, 900, 0.0)  # what was lost long ago
-    window.sample(1010, 900, 1.0)
-    assert window.loss() is None and window.frames() == 10
-    window.sample(1030, 910, 2.0)
-    assert window.loss() == pytest.approx(10 / 40)
-    for second in range(3, 60):
-        window.sample(1030 + 10 * second, 910, float(second))
-    assert window.loss() == 0.0
-    window.sample(5, 0, 60.0)  # the counters began anew
-    assert window.loss() is None
 
 
 INDOORS: dict[str, Value | None] = {

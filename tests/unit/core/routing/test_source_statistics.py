@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.routing.source_statistics import BURST_MAX, FIRST_NUMBERS, WINDOW, SourceStats
+from skygcs.core.routing.source_statistics import BURST_MAX, FIRST_NUMBERS, WINDOW, LossWindow, SourceStats
 from skygcs.tlog.reading import LogReader
 from support.frames import dialect
 from support.public_data import capture, own_capture
@@ -266,3 +266,18 @@ def test_whatever_comes_the_loss_is_none_or_some_and_no_more_than_the_numbers_al
         assert 0 <= stats.lost <= 256 * n
         assert 0.0 <= stats.loss_ratio < 1.0
     assert stats.frames == len(frames)
+
+
+def test_losses_of_the_last_while() -> None:
+    window = LossWindow()
+    assert window.loss() is None
+    window.sample(1000, 900, 0.0)  # what was lost long ago
+    window.sample(1010, 900, 1.0)
+    assert window.loss() is None and window.frames() == 10
+    window.sample(1030, 910, 2.0)
+    assert window.loss() == pytest.approx(10 / 40)
+    for second in range(3, 60):
+        window.sample(1030 + 10 * second, 910, float(second))
+    assert window.loss() == 0.0
+    window.sample(5, 0, 60.0)  # the counters began anew
+    assert window.loss() is None

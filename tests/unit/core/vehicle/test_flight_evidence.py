@@ -118,7 +118,7 @@ def test_what_was_on_the_ground_before_it_was_armed_may_have_left_it() -> None:
 
 def test_a_duplicate_id_is_not_idle() -> None:
     vehicle, voice = disarmed()
-    vehicle.duplicates = {vehicle.key: "on udp (10.0.0.5:14550) and on radio"}
+    vehicle.ids.others = {vehicle.key: "on udp (10.0.0.5:14550) and on radio"}
     assert "10.0.0.5:14550" in str(why_not_idle(vehicle, NOW))
     assert contradiction(vehicle, NOW) is None, "what is known of it is its own"
     vehicle, voice = disarmed()

@@ -75,9 +75,9 @@ def test_one_that_flies_and_knows_where_may_be_taken_over_also_from_a_pilot(auto
 def test_who_may_not_be_taken_over_is_told_why() -> None:
     vehicle, voice = flying(PX4)
     assert "position is not known" in str(offboard_entry.entry_refusal(vehicle, NOW + 20))
-    vehicle.duplicates = {vehicle.key: "on udp (10.0.0.5:14550) and on radio"}
+    vehicle.ids.others = {vehicle.key: "on udp (10.0.0.5:14550) and on radio"}
     assert "two vehicles" in str(offboard_entry.entry_refusal(vehicle, NOW))
-    vehicle.duplicates, vehicle.replayed = {}, True
+    vehicle.ids.others, vehicle.replayed = {}, True
     assert "recording" in str(offboard_entry.entry_refusal(vehicle, NOW))
     vehicle.replayed = False
     vehicle.on_frame(voice.beat(PX4, PX4_LOITER, armed=True, status=5), NOW)

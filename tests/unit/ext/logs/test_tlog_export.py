@@ -13,8 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from skygcs.config.dialects import offline_dialect
-from skygcs.core.geo import Origin
-from skygcs.core.vehicle.decoding import quaternion_from_euler
+from skygcs.core.geo import Origin, quaternion_from_euler
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs.census import Census
 from skygcs.ext.logs.foxglove_schemas import SCHEMAS

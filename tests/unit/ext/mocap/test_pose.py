@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.geo import Origin
-from skygcs.ext.mocap.pose import CaptureFrame, Pose, Quaternion, angle_between_rad, euler, from_euler, ned_frd, rotate
+from skygcs.core.geo import Origin, euler_from_quaternion, quaternion_from_euler
+from skygcs.ext.mocap.pose import CaptureFrame, Pose, Quaternion, angle_between_rad, ned_frd, rotate
 from support.table import each
 
 EAST = Origin(43.78, -79.46, 180.0)
@@ -37,16 +37,16 @@ def turn_x(rad: float) -> np.ndarray:
 
 @given(angles, st.floats(-1.5, 1.5), angles)
 def test_euler_angles_are_those_of_the_textbook(roll: float, pitch: float, yaw: float) -> None:
-    q = from_euler(roll, pitch, yaw)
+    q = quaternion_from_euler(roll, pitch, yaw)
     assert np.allclose(matrix(q), turn_z(yaw) @ turn_y(pitch) @ turn_x(roll), atol=1e-9)
-    assert np.allclose(euler(q), (roll, pitch, yaw), atol=1e-6)
+    assert np.allclose(euler_from_quaternion(*q), (roll, pitch, yaw), atol=1e-6)
 
 
 @given(angles, st.floats(-1.5, 1.5), angles, metres, metres, metres)
 def test_ned_and_frd_are_the_axes_swapped_on_both_sides(
     roll: float, pitch: float, yaw: float, x: float, y: float, z: float
 ) -> None:
-    enu = Pose(1.0, (x, y, z), from_euler(roll, pitch, yaw))
+    enu = Pose(1.0, (x, y, z), quaternion_from_euler(roll, pitch, yaw))
     ned = ned_frd(enu)
     swap = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
     assert np.allclose(ned.pos_m, swap @ np.array(enu.pos_m))
@@ -55,15 +55,16 @@ def test_ned_and_frd_are_the_axes_swapped_on_both_sides(
 
 @each(("yaw_enu_deg", "heading_deg"), [(0, 90), (90, 0), (180, -90), (-90, 180)])
 def test_a_level_vehicle_has_the_compass_heading_as_yaw(yaw_enu_deg: float, heading_deg: float) -> None:
-    roll, pitch, yaw = euler(ned_frd(Pose(0.0, (0, 0, 0), from_euler(0, 0, math.radians(yaw_enu_deg)))).q)
+    level = Pose(0.0, (0, 0, 0), quaternion_from_euler(0, 0, math.radians(yaw_enu_deg)))
+    roll, pitch, yaw = euler_from_quaternion(*ned_frd(level).q)
     assert (roll, pitch) == (pytest.approx(0, abs=1e-9), pytest.approx(0, abs=1e-9))
     assert math.cos(yaw - math.radians(heading_deg)) == pytest.approx(1.0)
 
 
 def test_nose_up_in_flu_is_nose_up_in_frd() -> None:
-    nose_up = from_euler(0.0, -0.2, 0.0)  # FLU: a positive turn about y (left) lowers the nose
+    nose_up = quaternion_from_euler(0.0, -0.2, 0.0)  # FLU: a positive turn about y (left) lowers the nose
     assert rotate(nose_up, (1.0, 0.0, 0.0))[2] > 0
-    assert euler(ned_frd(Pose(0.0, (0, 0, 0), nose_up)).q)[1] == pytest.approx(0.2)
+    assert euler_from_quaternion(*ned_frd(Pose(0.0, (0, 0, 0), nose_up)).q)[1] == pytest.approx(0.2)
 
 
 def test_y_up_is_turned_to_z_up_with_its_body() -> None:
@@ -73,7 +74,7 @@ def test_y_up_is_turned_to_z_up_with_its_body() -> None:
     pose = frame.to_enu(seen, EAST)
     assert pose is not None
     assert pose.pos_m == pytest.approx((1.0, -3.0, 2.0))
-    assert euler(pose.q) == pytest.approx((0.0, 0.0, math.radians(30)), abs=1e-9)
+    assert euler_from_quaternion(*pose.q) == pytest.approx((0.0, 0.0, math.radians(30)), abs=1e-9)
 
 
 def test_rotation_and_offset_are_those_of_the_world_frame() -> None:
@@ -81,7 +82,8 @@ def test_rotation_and_offset_are_those_of_the_world_frame() -> None:
     pose = CaptureFrame(offset_m=(10.0, 0.0, 1.0)).to_enu(Pose(0.0, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0)), north)
     assert pose is not None
     assert pose.pos_m == pytest.approx((-2.0, 11.0, 4.0))
-    assert euler(ned_frd(pose).q)[2] == pytest.approx(0.0, abs=1e-9)  # nose along x of the world: heading 0
+    _, _, heading = euler_from_quaternion(*ned_frd(pose).q)
+    assert heading == pytest.approx(0.0, abs=1e-9)  # nose along x of the world
     turned = CaptureFrame(rotation_rad=math.pi / 2).to_enu(Pose(0.0, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), EAST)
     assert turned is not None
     assert turned.pos_m == pytest.approx((0.0, 1.0, 0.0))
@@ -93,7 +95,7 @@ def test_there_and_back(
 ) -> None:
     origin = Origin(43.78, -79.46, 180.0, heading)
     frame = CaptureFrame(up, rotation, (3.0, -4.0, 0.5))  # type: ignore[arg-type]
-    pose = Pose(1.5, (x, y, 1.0), from_euler(roll, pitch, yaw))
+    pose = Pose(1.5, (x, y, 1.0), quaternion_from_euler(roll, pitch, yaw))
     back = frame.to_enu(frame.from_enu(pose, origin), origin)
     assert back is not None
     assert back.pos_m == pytest.approx(pose.pos_m, abs=1e-9)

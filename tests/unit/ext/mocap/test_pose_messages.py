@@ -8,12 +8,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
+from skygcs.core.geo import quaternion_from_euler
 from skygcs.core.mavlink.frame import encode_payload
-from skygcs.ext.mocap.pose import Pose, from_euler
+from skygcs.ext.mocap.pose import Pose
 from skygcs.ext.mocap.pose_messages import LEAST_HZ, WIRE_BYTES, PoseMessage, message_of, rate_that_fits
 from support.table import each
 
-POSE = Pose(100.5, (1.0, 2.0, 3.0), from_euler(0.1, 0.0, math.radians(30)))  # ENU, FLU
+POSE = Pose(100.5, (1.0, 2.0, 3.0), quaternion_from_euler(0.1, 0.0, math.radians(30)))  # ENU, FLU
 
 
 def read(kind: PoseMessage, family: str, reset_counter: int = 3) -> tuple[mav.MAVLink_message, bytes]:

@@ -30,8 +30,6 @@ FORMAT = 1
 EXTRA = "companions"
 ARCHITECTURES = ("aarch64", "armv7l", "x86_64")
 PYTHONS = ("3.11", "3.12", "3.13")
-DEFAULT_PYTHON = "3.11"
-"""Python of Debian 12 and Raspberry Pi OS 12."""
 
 NEWEST_GLIBC = 36
 """2.36 is that of Debian 12; no older system has Python 3.11."""

@@ -30,6 +30,7 @@ import nats.errors
 import nats.js.errors
 from nats.aio.client import Client as NatsClient
 
+from skygcs.back_off import BackOff
 from skygcs.cancellation import end_if_cancelled
 from skygcs.errors import BusError, HubAway, NobodyThere, NotPermitted, ReplyLost
 from skygcs.events import Event
@@ -436,16 +437,15 @@ class Bus:
 
     async def run(self) -> None:
         """Keep the station connected until it is cancelled."""
-        pause_s = FIRST_PAUSE_S
+        back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S)
         logging.getLogger("nats").setLevel(logging.CRITICAL)  # it logs a traceback for each message of a broken hub
         logging.getLogger("asyncio").addFilter(_is_no_eof_notice)
         try:
             for server in itertools.cycle(self.options.servers):
                 if await self._connection(server):
-                    pause_s = FIRST_PAUSE_S
+                    back_off.reset()
                 end_if_cancelled()
-                await asyncio.sleep(pause_s * random.uniform(0.75, 1.0))
-                pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+                await asyncio.sleep(back_off.after() * random.uniform(0.75, 1.0))
         finally:
             for task in self._answering:
                 task.cancel()

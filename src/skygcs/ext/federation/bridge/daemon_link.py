@@ -22,7 +22,7 @@ ASK_EVERY_S = 5.0
 """Period of daemon.info: the daemon closes idle connections when all its places are taken."""
 
 DAEMON_SILENT_S = 15.0
-"""A connection without an answer for this time is given up; a daemon that is stopped for some seconds is waited for."""
+"""A connection without an answer for this time is given up; a daemon stopped for a few seconds is waited for."""
 
 
 class DaemonLink:

@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import structlog
 from pydantic_core import from_json
 
+from skygcs.back_off import BackOff
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.federation.protocol.order_gate import MAX_ENDING, MAX_RUNNING, MAX_STOPS
 from skygcs.ext.federation.protocol.order_messages import ENDS_FLIGHT, STOP, Json, Status, status_of
@@ -99,7 +100,7 @@ class DaemonOrders:
 
     async def run(self) -> None:
         """Stay connected until it is cancelled."""
-        pause_s = FIRST_PAUSE_S
+        back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S)
         try:
             while True:
                 try:
@@ -109,7 +110,7 @@ class DaemonOrders:
                     await self._sample(self._orders[0])
                     self._answered_at = self._loop.time()
                     self._change("connected", connected=True)
-                    pause_s = FIRST_PAUSE_S
+                    back_off.reset()
                     while self.connected:
                         await asyncio.sleep(ALIVE_EVERY_S)
                         await self._sample(self._orders[0])
@@ -118,8 +119,7 @@ class DaemonOrders:
                     self._change(str(error))
                 finally:
                     await self._close()
-                await asyncio.sleep(pause_s)
-                pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+                await asyncio.sleep(back_off.after())
         finally:
             self._change("not connected to the daemon any more")
 

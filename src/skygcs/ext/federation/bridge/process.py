@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skygcs import __version__
+from skygcs.back_off import BackOff
 from skygcs.config.models import FleetConfig
 from skygcs.config.station_path import station_socket
 from skygcs.errors import ConfigError, SkygcsError
@@ -165,7 +166,7 @@ class FederationProcess:
 
     async def _part(self, name: str, part: Part) -> None:
         """Run one part without end."""
-        pause_s = FIRST_PAUSE_S
+        back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S)
         while True:
             began = self.station.now()
             try:
@@ -175,12 +176,10 @@ class FederationProcess:
                 reason = str(error)
             except Exception as error:
                 reason = f"{type(error).__name__}: {error}"
-            if self.station.now() - began >= STEADY_S:
-                pause_s = FIRST_PAUSE_S
+            pause_s = back_off.after(self.station.now() - began)
             text = f"federation: {name} has failed ({reason}); it is run again in {pause_s:g} s"
             self.report(Event("fault", None, None, text, {"part": name, "reason": reason}))
             await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
     def stop(self) -> None:
         """End `run`. Idempotent; safe as a signal handler of the loop."""

@@ -31,7 +31,7 @@ MAX_BATCH_BYTES = 1 << 20
 """The default max_payload of nats-server. 250 vehicles take 45 kB."""
 
 MAX_VEHICLES_OF_SITE = 300
-"""Vehicles that a daemon has at most (`runtime.fleet.MAX_VEHICLES`)."""
+"""Vehicles that a daemon has at most (`runtime.vehicle_services.MAX_VEHICLES`)."""
 
 MAX_WORD_CHARS = 32
 """Longest mode, type, or other word of the daemon's state; longer ones are cut."""

@@ -117,7 +117,7 @@ class _Watch:
 
 
 class Execution:
-    """One run of a plan. Call `begin`, then `tick` some times a second and `outcome` for each order's outcome.
+    """One run of a plan. Call `begin`, then `tick` a few times a second and `outcome` for each order's outcome.
 
     ``changes`` collects state changes; the caller reports and clears them.
     """
@@ -150,7 +150,7 @@ class Execution:
         self.pairs: tuple[Pair, ...] = ()
         self.changes: list[PlanChange] = []
         self._ready: set[str] = set()
-        """In the mode of their take-off, at the begin."""
+        """In the mode of their take-off, at the beginning."""
         self._done: set[str] = set()
         """Vehicles whose order of this state has ended well."""
         self._unarmed = set(self.grounded)

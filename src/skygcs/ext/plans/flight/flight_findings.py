@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
+from skygcs.core.preflight.facts import ReturnSetting, offered_heights
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.remedies import Remedy
 from skygcs.number_text import rounded
@@ -102,7 +102,7 @@ def battery_finding(
     return Finding(vehicle, check, Level.OK, text)
 
 
-def return_height_findings(heights: Mapping[str, ReturnHeight | None], apart_m: float) -> list[Finding]:
+def return_height_findings(heights: Mapping[str, ReturnSetting | None], apart_m: float) -> list[Finding]:
     """Losing the ground sends all home at once: in different heights."""
     check, findings = "return height", []
     for name, height in heights.items():

@@ -55,7 +55,7 @@ class ProcessLimits:
     """Limits of one request."""
 
     time_s: float = 120.0
-    """By the clock, and of CPU time. 255 vehicles of 400 pieces each take some seconds."""
+    """By the clock, and of CPU time. 255 vehicles of 400 pieces each take a few seconds."""
     memory_mb: int = 2048
     """Limit of address space; numpy itself takes 0.3 GB of it, 100,000 pieces 0.5 GB."""
     answer_bytes: int = 64 << 20

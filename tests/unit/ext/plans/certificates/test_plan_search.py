@@ -4,6 +4,7 @@ import math
 import random
 from itertools import combinations
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from bench.plans.refusals import circle, grid
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.plan.straight_flight import assigned, closest_pair, least_product, straight_trajectories
+from skygcs.core.plan.straight_flight import assigned, straight_trajectories
 from skygcs.core.trajectory import MotionLimits, require_within
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.certificates.plan_search import Task, make_plan
@@ -29,13 +30,20 @@ def task(starts, goals, **options) -> Task:
     return Task(dict(zip(names, starts, strict=True)), dict(zip(names, goals, strict=True)), **options)
 
 
+def in_metric(places):
+    """With a downwash ratio of 2."""
+    return np.array(places) / (1.0, 1.0, 2.0)
+
+
 @settings(max_examples=examples(100), deadline=None)
 @given(places, st.randoms(use_true_random=False))
 def test_an_assignment_has_no_negative_product(starts, rng) -> None:
     goals = [(rng.uniform(-50, 50), rng.uniform(-50, 50), rng.uniform(5, 30)) for _ in starts]
     order = assigned(starts, goals, 2.0)
     assert sorted(order) == list(range(len(starts)))
-    assert least_product(starts, [goals[i] for i in order], 2.0) >= -1e-7
+    starts, goals = in_metric(starts), in_metric([goals[i] for i in order])
+    for i, j in combinations(range(len(starts)), 2):
+        assert sum((starts[i] - starts[j]) * (goals[i] - goals[j])) >= -1e-7
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -48,8 +56,11 @@ def test_exchanged_goals_keep_the_separation_of_the_proposition(seed: int, count
     rng.shuffle(goals)
     goals = [goals[i] for i in assigned(starts, goals, 2.0)]
     spacing = min(math.dist(p, q) for ends in (starts, goals) for p, q in combinations(ends, 2))
-    found = closest_pair(starts, goals, [0.0] * count, 2.0)
-    assert found is not None and found.distance_m >= spacing / math.sqrt(2.0) - 1e-9
+    beta = np.linspace(0.0, 1.0, 201)[:, None]
+    starts, goals = in_metric(starts), in_metric(goals)
+    for i, j in combinations(range(count), 2):
+        apart = (1.0 - beta) * (starts[i] - starts[j]) + beta * (goals[i] - goals[j])
+        assert np.linalg.norm(apart, axis=1).min() >= spacing / math.sqrt(2.0) - 1e-9
 
 
 def test_all_fly_straight_by_one_time_scaling_within_the_limits() -> None:

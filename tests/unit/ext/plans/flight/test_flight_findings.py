@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.mavlink.param_encoding import Param
 from skygcs.core.mavlink.vehicle_class import TABLE, VehicleClass
-from skygcs.core.preflight.return_heights import ReturnHeight, offered_heights
+from skygcs.core.preflight.facts import ReturnSetting, offered_heights
 from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.vehicle.flight_note import FlightRecord
 from skygcs.ext.plans import plan_checks
@@ -60,9 +60,9 @@ async def test_a_return_height_that_is_no_number_is_not_known(said: float) -> No
 
 def test_return_heights_that_are_too_near_name_both_and_what_to_set() -> None:
     heights = {
-        "alpha": ReturnHeight("RTL_RETURN_ALT", 1.0, 30.0),
-        "bravo": ReturnHeight("RTL_ALT", 100.0, 30.0),
-        "carol": ReturnHeight("RTL_ALT", 100.0, 50.0),
+        "alpha": ReturnSetting("RTL_RETURN_ALT", 1.0, 30.0),
+        "bravo": ReturnSetting("RTL_ALT", 100.0, 30.0),
+        "carol": ReturnSetting("RTL_ALT", 100.0, 50.0),
         "delta": None,
     }
     found = return_height_findings(heights, 6.6)
@@ -74,10 +74,10 @@ def test_return_heights_that_are_too_near_name_both_and_what_to_set() -> None:
 
 @given(st.dictionaries(st.text(min_size=1, max_size=4), st.floats(5.0, 100.0), max_size=20), st.floats(0.5, 15.0))
 def test_offered_heights_are_apart_and_never_lower(now: dict[str, float], apart_m: float) -> None:
-    heights = {name: ReturnHeight("RTL_ALT", 100.0, height) for name, height in now.items()}
+    heights = {name: ReturnSetting("RTL_ALT", 100.0, height) for name, height in now.items()}
     offered = offered_heights(heights, apart_m)
     assert all(offered[name] >= height - 1e-6 for name, height in now.items())
-    again = {name: ReturnHeight("RTL_ALT", 100.0, height) for name, height in offered.items()}
+    again = {name: ReturnSetting("RTL_ALT", 100.0, height) for name, height in offered.items()}
     assert [f.level for f in return_height_findings(again, apart_m)] == [Level.OK]
 
 
