@@ -18,6 +18,7 @@ import typer
 from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_number
+from skygcs.cli.render import say
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
@@ -135,7 +136,7 @@ def _filter(
     def command() -> None:
         table = dialect_named(dialect)
         chosen = selection(table, begin, end, vehicles, messages, without, fleet, addressed)
-        typer.echo(filter_log(file, out, chosen, table, force))
+        say(filter_log(file, out, chosen, table, force))
 
     run_offline(command)
 
@@ -153,7 +154,7 @@ def _merge(
     """
 
     def command() -> None:
-        typer.echo(merge_logs(files, out, dialect_named(dialect), force))
+        say(merge_logs(files, out, dialect_named(dialect), force))
 
     run_offline(command)
 
@@ -308,7 +309,7 @@ def _plot(
         from skygcs.ext.logs.flight_plot import plot_log
 
         table = dialect_named(dialect)
-        typer.echo(plot_log(file, path, selection(table, begin, end, vehicles, fleet=fleet), place, table))
+        say(plot_log(file, path, selection(table, begin, end, vehicles, fleet=fleet), place, table))
 
     run_offline(command)
 
@@ -346,14 +347,14 @@ def _play(
     def command() -> None:
         table = dialect_named(dialect)
         chosen = selection(table, begin, end, vehicles, messages, without, fleet)
-        typer.echo(play_log(file, where, chosen, speed, loop, everything, table))
+        say(play_log(file, where, chosen, speed, loop, everything, table))
 
     run_offline(command)
 
 
 def _print_lines(lines: Sequence[str]) -> None:
     for line in lines:
-        typer.echo(line)
+        say(line)
 
 
 def _place(text: str) -> tuple[float, float]:
