@@ -80,7 +80,11 @@ def _from_csv(text: str, problems: list[str]) -> Table:
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
     if not lines:
         return {}
-    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), skipinitialspace=True))
+    try:
+        rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), skipinitialspace=True))
+    except csv.Error as error:  # a cell of more than 131,072 characters
+        problems.append(f"not CSV: {error}")
+        return {}
     header = [cell.strip() for cell in rows[0]]
     wanted = ("vehicle", *(f"{w}_{c}" for w in ("initial", "final") for c in (*AXES, "heading_deg")))
     unknown = [cell for cell in header if cell not in wanted]
