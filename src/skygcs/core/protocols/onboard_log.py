@@ -61,8 +61,8 @@ MAX_LOGS = 2000
 """ArduPilot keeps 500 at most, PX4 as many as the card holds; more entries are not kept."""
 
 MAX_CHANGES = 4
-"""How often the number of logs may change while they are listed. Each time the list begins anew: with two vehicles of one
-id it would never end."""
+"""How often the number of logs may change while they are listed. Each time the list begins anew; with two vehicles of
+one id it would never end."""
 
 MAX_LOG_BYTES = (1 << 32) - 1
 

@@ -27,6 +27,7 @@ from skygcs.ext.logs.census import Census
 from skygcs.ext.logs.cutting import filter_log, merge_logs, split_log
 from skygcs.ext.logs.player import play_log
 from skygcs.ext.logs.table_files import write_tables
+from skygcs.terminal_text import visible
 from skygcs.tlog.files import KIND_NAMES, opened_log
 from skygcs.tlog.selection import Selection, SourceFilter
 from skygcs.tlog.timeline import speed_problem
@@ -86,6 +87,9 @@ LogPaths = Annotated[list[Path], typer.Argument(metavar="FILE …", help="Tlogs.
 Without = Annotated[
     str | None, typer.Option("--without", metavar="LIST", help="Messages to leave out.", show_default=False)
 ]
+
+MOST_ROWS = 300
+"""Of a table for a person: more than any fleet has; the 65,000 sources of an attack take a minute to lay out."""
 
 _MINUTES = re.compile(r"(?:(\d+):)?(\d+):(\d{2}(?:\.\d+)?)")
 _SOURCE = re.compile(r"(\d{1,3})(?:/(\d{1,3}))?")
@@ -570,7 +574,9 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     console = Console(soft_wrap=True)
     # the file as a whole
     duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
-    console.print(f"[bold]{escape(file.name)}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False)
+    console.print(
+        f"[bold]{escape(visible(file.name))}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False
+    )
     console.print(
         f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} with an unknown id, "
         f"{answer['skipped_bytes']} bytes skipped",
@@ -582,21 +588,28 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     if answer["vehicles"]:
         table = Table("vehicle", "autopilot", "type", "heard, s", "armed", "lost", box=box.SIMPLE_HEAD)
         table.add_column("modes", overflow="fold")
-        for v in answer["vehicles"]:
+        for v in answer["vehicles"][:MOST_ROWS]:
             heard = "" if v["first_s"] is None else f"{v['first_s']:.1f} to {v['last_s']:.1f}"
             armed, lost = "yes" if v["armed"] else "no", f"{100 * v['loss_ratio']:.1f} %"
             row = (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, armed, lost)
             table.add_row(*row, "\n".join(v["modes"]))
         console.print(table)
+        _print_more(len(answer["vehicles"]))
     else:
         console.print("no vehicle")
     # its sources and messages
     for title, counts in (("source", answer["sources"]), ("message", answer["types"])):
         table = Table(title, box=box.SIMPLE_HEAD)
         table.add_column("frames", justify="right")
-        for name, count in counts.items():
+        for name, count in list(counts.items())[:MOST_ROWS]:
             table.add_row(name, str(count))
         console.print(table)
+        _print_more(len(counts))
+
+
+def _print_more(rows: int) -> None:
+    if rows > MOST_ROWS:
+        say(f"  and {rows - MOST_ROWS:,} more; --json has all")
 
 
 def _remarks(answer: dict[str, Any]) -> list[str]:
