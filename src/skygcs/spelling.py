@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 MAX_WORD_CHARS = 80
-"""What is compared of a word: a megabyte takes half a second."""
+"""Part of a word that is compared: a megabyte takes half a second."""
 
 
 def near_names(word: str, known: Iterable[str], *, n: int = 3, cutoff: float = 0.6) -> list[str]:

@@ -32,7 +32,7 @@ MAX_FIELDS = 255
 """No message has more fields: each takes a byte of its payload at least."""
 
 MAX_VALUE_CHARS = 4096
-"""Of a text in the place of a field's value: all entries of the largest bit mask have 3,000 characters."""
+"""Longest text in the place of a field's value: all entries of the largest bit mask have 3,000 characters."""
 
 
 def _rate_or_off(rate_hz: float) -> float:

@@ -19,11 +19,11 @@ MAX_TELEMETRY_HZ = 20.0
 
 
 MAX_TEXT_CHARS = 1000
-"""Of a text in a request, unless its own bound is another: names, kinds, addresses, paths. The daemon keeps what orders
-are refused with, and shows it."""
+"""Longest text in a request, unless its own bound is another: names, kinds, addresses, paths. The daemon repeats it in
+outcomes and events, which it keeps."""
 
 MAX_NAME_CHARS = 256
-"""Of the name of a message or a command."""
+"""Longest name of a message or a command."""
 
 _RANGE = re.compile(r"([0-9]{1,3})\s*-\s*([0-9]{1,3})")
 

@@ -22,10 +22,10 @@ MAX_CHARS = 32_768
 part of one of a megabyte takes the loop half a second, in which nothing is flown."""
 
 MAX_PART_CHARS = 128
-"""Of one part, which may have a site before a name and a component behind it."""
+"""Longest part: a name, with a site before it and a component behind it."""
 
 MAX_NAME_CHARS = 64
-"""Of the name of a vehicle or group."""
+"""Longest name of a vehicle or group."""
 
 _RANGE = re.compile(r"(\d{1,3})\s*-\s*(\d{1,3})")
 
