@@ -89,7 +89,7 @@ Without = Annotated[
 ]
 
 MOST_ROWS = 300
-"""Most rows of a table for a person: more than any fleet has; the 65,000 sources of an attack take a minute to lay out."""
+"""Most rows of a table for a person: more than any fleet has. The 65,000 sources of an attack take a minute."""
 
 _MINUTES = re.compile(r"(?:(\d+):)?(\d+):(\d{2}(?:\.\d+)?)")
 _SOURCE = re.compile(r"(\d{1,3})(?:/(\d{1,3}))?")
