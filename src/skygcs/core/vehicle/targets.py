@@ -152,6 +152,8 @@ def size_problem(items: Sequence[object]) -> str | None:
     """Why so many targets, or such long ones, are not even looked at; None: they are."""
     if len(items) > MAX_PARTS:
         return f"{len(items)} targets in one order; at most {MAX_PARTS}"
+    if any(isinstance(item, int) and not -MAX_CHARS < item < MAX_CHARS for item in items):
+        return "a system id is a number from 1 to 255"  # one of 5,000 digits raises when it is shown
     if sum(len(item) for item in items if isinstance(item, str)) > MAX_CHARS:
         return f"the targets have more than {MAX_CHARS} characters; name groups, or give several orders"
     return None

@@ -80,6 +80,7 @@ def test_a_part_that_names_none_is_named_with_what_there_is(bad: str) -> None:
         ),
         *((long, "has 5000 characters") for long in ("9" * 5000, f"1-{'9' * 4998}", f"{'9' * 4998}/1", ["9" * 5000])),
         (["1"] * (MAX_PARTS + 1), "at most"),
+        *(([number], "from 1 to 255") for number in (10**5000, -(10**5000))),
         *(
             (wrong, f"no vehicle '{wrong}'; did you mean '{right}'")
             for wrong, right in (("alhpa", "alpha"), ("bravo1", "bravo"), ("bleu", "blue"))
