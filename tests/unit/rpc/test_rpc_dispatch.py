@@ -150,6 +150,16 @@ def test_what_is_wrong_with_a_megabyte_is_told_in_a_few_words(params: Any) -> No
     assert len(json.dumps(ask(request(params=params)))) < 1000
 
 
+def test_thousands_of_wrong_values_are_counted() -> None:
+    class ManyParams(MethodParams):
+        pairs: list[PairParams]
+
+    dispatcher = Dispatcher[Calls]({"many": Method("many", ManyParams, lambda calls, params: None)})
+    answer = ask(request("many", {"pairs": [{"first": "x", "third": 1}] * 5000}), dispatcher)
+    assert answer["error"]["code"] == -32602 and "10000 values are wrong" in answer["error"]["message"]
+    assert len(json.dumps(answer)) < 1000
+
+
 def test_a_long_text_is_refused_before_an_order_repeats_it_for_each_vehicle() -> None:
     class ModeParams(MethodParams):
         mode: str
