@@ -35,6 +35,9 @@ AXES = ("x", "y", "z")
 LARGEST_FILE = 1 << 20
 """Bytes; 255 vehicles need some 20 kB."""
 
+MAX_PROBLEMS = 50
+"""Problems that are told at once; a file of another kind has one in each line."""
+
 MOST_VEHICLES = 255
 LARGEST_M = 1e5
 """100 km: a larger number is a mistake, such as degrees or microdegrees in place of metres."""
@@ -67,7 +70,8 @@ def parse_table(source: str, data: bytes) -> Table:
     if len(table) > MOST_VEHICLES:
         problems.append(f"{len(table)} vehicles; there are at most {MOST_VEHICLES} system ids")
     if problems:
-        raise ConfigError(source, problems)
+        more = [f"and {len(problems) - MAX_PROBLEMS:,} more"] if len(problems) > MAX_PROBLEMS else []
+        raise ConfigError(source, [*problems[:MAX_PROBLEMS], *more])
     return table
 
 
