@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import skygcs
 from skygcs.cli.log_limit import BURST_LINES, MAX_KINDS, LogLimit
+from skygcs.cli.render import say
 from skygcs.cli.serve import main
 from skygcs.terminal_text import visible
 from support.table import each
@@ -37,6 +39,16 @@ def test_a_check_prints_no_escape_sequence_of_a_name(
         main(["check", str(file)])
     printed = "".join(capsys.readouterr())
     assert "\x1b" not in printed and "1b[" in printed
+
+
+def test_every_command_prints_by_the_one_function_that_shows_what_moves_a_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    say("a\x1b[2J\r\u202eb\n\tc", err=True, over=True)
+    assert capsys.readouterr().err.removeprefix("\r\x1b[K").removeprefix("\r") == "a\\x1b[2J\\r\\u202eb\n\tc\n"
+    source = Path(skygcs.__file__).parent
+    others = [path for path in source.rglob("*.py") if "typer.echo(" in path.read_text()]
+    assert others == [source / "cli" / "render.py"], "use say of cli/render.py"
 
 
 def test_lines_of_one_kind_are_bounded_and_counted() -> None:

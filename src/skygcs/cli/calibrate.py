@@ -13,6 +13,7 @@ import typer
 
 from skygcs.cli.connection import bytes_of, fail, print_outcomes, run
 from skygcs.cli.options import Json, Targets
+from skygcs.cli.render import say
 from skygcs.rpc.client import Client
 
 KIND = "calibration"
@@ -108,7 +109,7 @@ async def _show(gcs: Client, waiting: set[str]) -> None:
         line = _line(status)
         if shown.get(name) != line:
             shown[name] = line
-            typer.echo(f"{name}: {line}", err=True)
+            say(f"{name}: {line}", err=True)
 
 
 def _line(status: dict[str, Any]) -> str:

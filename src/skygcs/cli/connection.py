@@ -22,7 +22,7 @@ import typer
 
 from skygcs.cli.interruption import Unanswered, explain
 from skygcs.cli.order_output import JsonForm, OrderOutput
-from skygcs.cli.render import PIPE_WIDTH, cut, outcome_lines, print_json, print_lines, screen_width, wrapped
+from skygcs.cli.render import PIPE_WIDTH, cut, outcome_lines, print_json, print_lines, say, screen_width, wrapped
 from skygcs.config.station_path import station_socket
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, client_token, tcp_address
@@ -151,7 +151,7 @@ async def _note_absent(gcs: Client, targets: object) -> None:
     with contextlib.suppress(SkygcsError):
         there = await gcs.call("vehicles.list", targets=targets)
         if absent := absent_sysids(targets, (vehicle["sysid"] for vehicle in there)):
-            typer.echo(f"skygcs-cli: no vehicle has the system ids {expression_of(absent)}", err=True)
+            say(f"skygcs-cli: no vehicle has the system ids {expression_of(absent)}", err=True)
 
 
 def run_show(method: str, json_output: bool, lines: Callable[[Any], Iterable[str]], **params: Any) -> NoReturn:
@@ -195,9 +195,9 @@ def json_is_wanted() -> bool:
 def fail(text: str) -> None:
     """Print one error on stderr: a line, which is wrapped between words on a terminal, or with --json one object."""
     if json_is_wanted():
-        typer.echo(json.dumps({"error": text}, ensure_ascii=False), err=True)
+        say(json.dumps({"error": text}), err=True)
         return
-    typer.echo(wrapped(f"skygcs-cli: {visible(text, lines=True)}", screen_width(sys.stderr), indent=2), err=True)
+    say(wrapped(f"skygcs-cli: {text}", screen_width(sys.stderr), indent=2), err=True)
 
 
 def client(socket: str | None = None, *, station: bool = False) -> Client:
@@ -279,7 +279,7 @@ async def _spin(text: str | Callable[[], str]) -> None:
         for glyph in itertools.cycle(SPINNER):
             said = text if isinstance(text, str) else text()
             line = cut(f"{glyph} {said} {loop.time() - began:.0f} s", (screen_width(sys.stderr) or PIPE_WIDTH) - 1)
-            sys.stderr.write(f"\r{line}\033[K")
+            sys.stderr.write(f"\r{visible(line)}\033[K")
             sys.stderr.flush()
             await asyncio.sleep(SPINNER_PERIOD_S)
     finally:

@@ -14,7 +14,7 @@ import typer
 from skygcs.cli.connection import Exit, exit_code, print_outcomes, run, run_offline, run_order, run_show
 from skygcs.cli.options import Json, OptionalTargets, OrderJson, Targets
 from skygcs.cli.parsing import finite
-from skygcs.cli.render import PIPE_WIDTH, State, console, fitting, fixed, plain, print_json, print_lines, table
+from skygcs.cli.render import PIPE_WIDTH, State, console, fitting, fixed, plain, print_json, print_lines, say, table
 from skygcs.cli.status import NOTHING_HEARD, Count, Rate, follow_states
 from skygcs.rpc.client import Client
 
@@ -218,14 +218,14 @@ def _replay(file: Path, json_output: bool) -> int:
         print_json(answer | {"cut_line": cut_line})
         return Exit.FAILED if count else Exit.DONE
     if cut_line is not None:
-        typer.echo(f"line {cut_line} is incomplete and was left out")
+        say(f"line {cut_line} is incomplete and was left out")
     for m in first:
-        typer.echo(f"{file}:{m.line}: {m.column} is {m.recorded or 'empty'}, the law gives {m.computed or 'nothing'}")
+        say(f"{file}:{m.line}: {m.column} is {m.recorded or 'empty'}, the law gives {m.computed or 'nothing'}")
     if count > len(first):
-        typer.echo(f"… and {count - len(first):,} more cells")
+        say(f"… and {count - len(first):,} more cells")
     verdict = f"{count:,} cell{'s differ' if count > 1 else ' differs'}" if count else "all bit-identical"
     nothing = "skygcs closed no loop in this recording: there is nothing to run again"
-    typer.echo(f"{trace.head.vehicle}: {steps:,} steps, {verdict}" if steps else nothing)
+    say(f"{trace.head.vehicle}: {steps:,} steps, {verdict}" if steps else nothing)
     return Exit.FAILED if count else Exit.DONE
 
 

@@ -20,7 +20,7 @@ from skygcs.cancellation import ended
 from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show, show
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
-from skygcs.cli.render import cut, plural, print_json, screen_width
+from skygcs.cli.render import cut, plural, print_json, say, screen_width
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 from skygcs.terminal_text import visible
@@ -129,21 +129,21 @@ class _Report:
             print_json({**tally.as_dict(), "bytes_per_s": round(bytes_per_s, 1)}, line=True)
         elif self._live:
             width = screen_width(sys.stdout)
-            typer.echo(f"\r\033[K{line if width is None else cut(line, width - 1)}", nl=False)
+            say(line if width is None else cut(line, width - 1), nl=False, over=True)
         else:
-            typer.echo(line)
+            say(line)
         sys.stdout.flush()
 
     def problem(self, text: str) -> None:
         if self._live:
-            typer.echo("\r\033[K", nl=False)
+            say("", nl=False, over=True)
         fail(text)
 
     def end(self, tally: CorrectionTally) -> None:
         if self._json:
             print_json(tally.as_dict(), line=True)
         else:
-            typer.echo(("\r\033[K" if self._live else "") + f"sent {line_of(tally, None)}")
+            say(f"sent {line_of(tally, None)}", over=self._live)
 
 
 def _opened(file: str) -> int:

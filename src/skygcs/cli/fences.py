@@ -17,7 +17,7 @@ from skygcs.cli.connection import Exit, fail, print_outcomes, run, run_order, ru
 from skygcs.cli.missions import OutFile, Overwrite, PlanFile, clear, download, upload
 from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Targets
 from skygcs.cli.parsing import finite
-from skygcs.cli.render import event_line
+from skygcs.cli.render import event_line, say
 from skygcs.rpc.client import Client
 
 fences = typer.Typer(
@@ -121,7 +121,7 @@ def _test(
     """
     # confirm that the propellers are off
     if not yes:
-        typer.echo(BEFORE_THE_WALK.format(radius=radius), err=True)
+        say(BEFORE_THE_WALK.format(radius=radius), err=True)
         if not sys.stdin.isatty():
             fail("there is no terminal to confirm that the propellers are off: --yes confirms it")
             raise typer.Exit(Exit.FAILED)
@@ -143,7 +143,7 @@ def _test(
         code = print_outcomes(answer["outcomes"], json_output)
         for outcome in () if json_output else answer["outcomes"].values():
             if outcome["record"] is not None:
-                typer.echo(f"     recorded in {outcome['record']['file']}")
+                say(f"     recorded in {outcome['record']['file']}")
         return code
 
     run(command)
@@ -153,7 +153,7 @@ async def _follow(gcs: Client, targets: str) -> None:
     """Print the events of the test on stderr; results go to stdout."""
     async for event in gcs.events(targets, kinds=["fence", "armed", "disarmed", "mode", "statustext"]):
         if event["data"].get("state") != "done":
-            typer.echo(event_line(event), err=True)
+            say(event_line(event), err=True)
 
 
 def status_line(name: str, outcome: Mapping[str, Any]) -> str:
@@ -263,7 +263,7 @@ def _undo_drop(id: ChangeId) -> None:
     async def command(gcs: Client) -> None:
         for one in await _ids(gcs, id):
             await gcs.call("undo.drop", id=one)
-            typer.echo(f"{one} removed from the list")
+            say(f"{one} removed from the list")
 
     run(command)
 

@@ -53,7 +53,10 @@ def svg(figure: Figure) -> str:
 
 def _write(figure: Figure, file: Path | BytesIO, form: str) -> None:
     from matplotlib import rc_context
+    from matplotlib.text import Text
 
+    for text in figure.findobj(Text):  # no formulas: a file's name, or a vehicle's text, may have two dollar signs
+        text.set_parse_math(False)
     metadata = {"Date": None} if form == "svg" else None
     with rc_context({"svg.hashsalt": "skygcs", "svg.fonttype": "none"}):
         figure.savefig(file, format=form, metadata=metadata)

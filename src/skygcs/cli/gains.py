@@ -16,7 +16,7 @@ import typer
 from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_number, within
-from skygcs.cli.render import console, print_json, table
+from skygcs.cli.render import console, print_json, say, table
 from skygcs.core.control.analysis import (
     AIRFRAME_LAG_S,
     CONTINUOUS_PERIOD_S,
@@ -174,7 +174,7 @@ def _report(question: Question, plot: Path | None, json_output: bool, *, brief: 
     else:
         show(answer)
         if plot is not None:
-            typer.echo(f"step responses drawn in {plot}")
+            say(f"step responses drawn in {plot}")
 
 
 def _numbers(option: str, text: str, *counts: int) -> tuple[float, ...]:

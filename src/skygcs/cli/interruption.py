@@ -17,9 +17,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import typer
-
-from skygcs.cli.render import fixed, plural
+from skygcs.cli.render import fixed, plural, say
 from skygcs.errors import SkygcsError
 from skygcs.rpc.client import Client
 
@@ -121,7 +119,7 @@ async def explain(pending: Sequence[Unanswered], again: Client) -> None:
     if (task := asyncio.current_task()) is not None:
         task.uncancel()
     for line in lines:
-        typer.echo(line, err=True)
+        say(line, err=True)
     targets = next((found for request in pending if (found := targets_of(request))), "")
     if not targets or any(request.method.startswith(("params.", "signing.", "undo.")) for request in pending):
         return
@@ -130,12 +128,12 @@ async def explain(pending: Sequence[Unanswered], again: Client) -> None:
         async with asyncio.timeout(STATES_S), again as gcs:
             states = await gcs.vehicles(targets)
     except (SkygcsError, OSError, TimeoutError) as error:
-        typer.echo(f"how they are now is not known: {error or 'no answer'}; `skygcs-cli status`", err=True)
+        say(f"how they are now is not known: {error or 'no answer'}; `skygcs-cli status`", err=True)
         return
     for state in states[:SHOWN]:
-        typer.echo(f"now: {state_line(state)}", err=True)
+        say(f"now: {state_line(state)}", err=True)
     if len(states) > SHOWN:
-        typer.echo(f"now: {plural(len(states) - SHOWN, 'more vehicle')}; `skygcs-cli status`", err=True)
+        say(f"now: {plural(len(states) - SHOWN, 'more vehicle')}; `skygcs-cli status`", err=True)
 
 
 def state_line(state: Mapping[str, Any]) -> str:

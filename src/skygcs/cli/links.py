@@ -25,6 +25,7 @@ from skygcs.cli.render import (
     plain,
     print_json,
     print_lines,
+    say,
     table,
 )
 from skygcs.core.radio_link.capacity import FLOWN_HZ, FRAME_BYTES, PROFILES, SETPOINTS, LinkDemand, LinkPlan, plan_link
@@ -109,9 +110,9 @@ def _links(method: str, json_output: bool, **params: Any) -> NoReturn:
             screen.print(links_table(answer, screen.width))
             for row in answer:
                 if row.get("warning") and params.get("name") in (None, row["name"]):
-                    typer.echo(f"warning: {row['name']}: {row['warning']}", err=True)
+                    say(f"warning: {row['name']}: {row['warning']}", err=True)
         else:
-            typer.echo("no links; add one: skygcs-cli links add NAME type=udp_server port=14550")
+            say("no links; add one: skygcs-cli links add NAME type=udp_server port=14550")
 
     run(command)
 
@@ -230,7 +231,7 @@ def _select(
 
     async def command(gcs: Client) -> None:
         answer = await gcs.call("link.select", targets=None if targets == "none" else targets)
-        typer.echo(f"selected: {', '.join(answer['selected']) or 'none'}")
+        say(f"selected: {', '.join(answer['selected']) or 'none'}")
 
     run(command)
 

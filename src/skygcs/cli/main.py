@@ -19,6 +19,7 @@ from typer.models import CommandInfo
 
 from skygcs import __version__
 from skygcs.cli.connection import Exit, fail, json_is_wanted, want_json
+from skygcs.cli.render import say
 from skygcs.cli.topics import all_topics, extension_commands, front_page, of_skygcs, topic_page
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
 
@@ -180,7 +181,7 @@ class _RootGroup(TyperGroup):
         """The arguments that `help` stands for; the page of a topic is printed here."""
         if asked and asked[0] not in self.commands and asked[0] in (topics := all_topics()):
             commands = topics[asked[0]][1]
-            typer.echo(topic_page(asked[0], {name: self.commands[name].get_short_help_str(500) for name in commands}))
+            say(topic_page(asked[0], {name: self.commands[name].get_short_help_str(500) for name in commands}))
             raise typer.Exit
         return [*asked, "--help"]
 
@@ -247,7 +248,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"skygcs {__version__}")
+        say(f"skygcs {__version__}")
         raise typer.Exit
 
 

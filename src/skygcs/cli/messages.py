@@ -19,7 +19,7 @@ from skygcs.cli.options import (
     complete_targets,
 )
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_pairs
-from skygcs.cli.render import duration, plain, print_json
+from skygcs.cli.render import duration, plain, print_json, say
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 
@@ -68,7 +68,7 @@ def watch_messages(
             if json_output:
                 print_json(message, line=True)
             else:
-                typer.echo(message_line(message))
+                say(message_line(message))
                 sys.stdout.flush()
             seen += 1
             if seen >= count:
@@ -126,9 +126,9 @@ def send_message(
         if json_output:
             print_json(answer)
         elif answer["sent"]:
-            typer.echo(f"sent {answer['message']}" + (f" {answer['sent']} times" if answer["sent"] > 1 else ""))
+            say(f"sent {answer['message']}" + (f" {answer['sent']} times" if answer["sent"] > 1 else ""))
         else:
-            typer.echo(f"{answer['message']} was not sent: nothing is connected to the link", err=True)
+            say(f"{answer['message']} was not sent: nothing is connected to the link", err=True)
         if answer.get("note") and not json_output:
             fail(answer["note"])
         return Exit.DONE if answer["sent"] else Exit.FAILED
@@ -162,11 +162,11 @@ def last_message(
         if json_output:
             print_json(answer)
         elif answer is not None:
-            typer.echo(f"{answer['name']} of {answer['sysid']}/{answer['compid']}, {duration(answer['age_s'])} ago")
+            say(f"{answer['name']} of {answer['sysid']}/{answer['compid']}, {duration(answer['age_s'])} ago")
             for field, value in answer["fields"].items():
-                typer.echo(f"  {field:<24} {json.dumps(value)}")
+                say(f"  {field:<24} {json.dumps(value)}")
         else:
-            typer.echo(f"{target} has not sent {name} yet", err=True)
+            say(f"{target} has not sent {name} yet", err=True)
         return answer is None
 
     run(command)
@@ -195,7 +195,7 @@ def request_message(targets: ComponentTargets, name: MessageName, json_output: J
         code = print_outcomes(outcomes, False)
         for target, latest in received.items():
             if latest is not None:
-                typer.echo(message_line({**latest, "source": target}))
+                say(message_line({**latest, "source": target}))
         return code
 
     run(command)

@@ -33,7 +33,7 @@ from skygcs.cli.mission_arrangement import Arrange, Heading, Spacing, Step, arra
 from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Targets
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import finite, parse_number
-from skygcs.cli.render import event_line, plural, print_json
+from skygcs.cli.render import event_line, plural, print_json, say
 from skygcs.config.files import read_named
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
@@ -204,7 +204,7 @@ def _check_file(file: Path, request: _CheckRequest, json_output: bool) -> int:
     if json_output:
         print_json(_report(file, imported, findings, changes, dialect))
     else:
-        typer.echo(_text(file, imported, findings, changes))
+        say(_text(file, imported, findings, changes))
     return Exit.FAILED if errors(findings) else Exit.DONE
 
 
@@ -226,10 +226,10 @@ def _convert_file(file: Path, out: Path, only: MissionType | None, family: Famil
     except FileExistsError:
         raise PlanFileError(str(out), "", "exists; --force overwrites it") from None
     for note in imported.notes:
-        typer.echo(f"note: {note}", err=True)
+        say(f"note: {note}", err=True)
     for line in grouped(changes):
-        typer.echo(f"changed: mission {line}", err=True)
-    typer.echo(f"{out}: {_counts(read_plan(text.encode(), str(out)))}")
+        say(f"changed: mission {line}", err=True)
+    say(f"{out}: {_counts(read_plan(text.encode(), str(out)))}")
     return Exit.DONE
 
 
@@ -458,7 +458,7 @@ def _watch(
         if json_output:
             print_json(item, line=True)
         else:
-            typer.echo(line)
+            say(line)
             sys.stdout.flush()
 
     async def command(gcs: Client) -> None:
@@ -535,7 +535,7 @@ def upload(
     def command() -> int:
         imported, text = load_plan(file)
         for note in imported.notes:
-            typer.echo(f"note: {note}", err=True)
+            say(f"note: {note}", err=True)
         return asyncio.run(sent(text, imported.plan))
 
     run_offline(command)
@@ -572,7 +572,7 @@ def download(vehicle: str, file: Path | None, lists: list[str], force: bool, jso
             answer = asyncio.run(read())
         except KeyboardInterrupt:
             unwritten = "" if file is None else f"; {file} is not written"
-            typer.echo(f"interrupted: nothing changed in {vehicle}{unwritten}", err=True)
+            say(f"interrupted: nothing changed in {vehicle}{unwritten}", err=True)
             return Exit.INTERRUPTED
         code = _show_download(vehicle, answer, lists, json_output, quiet=file is not None)
         if file is not None and code == Exit.DONE:
@@ -591,7 +591,7 @@ def _show_download(vehicle: str, answer: dict[str, Any], lists: list[str], json_
     for name in () if quiet else lists:
         for item in answer[name]:
             params = " ".join("-" if value is None else f"{value:.10g}" for value in item["params"])
-            typer.echo(f"{name} {item['number']:>4}  {item['command']:>5}  frame {item['frame']:>2}  {params}")
+            say(f"{name} {item['number']:>4}  {item['command']:>5}  frame {item['frame']:>2}  {params}")
     return code
 
 
@@ -602,7 +602,7 @@ def _write(file: Path, plan: str | None, lists: list[str]) -> None:
     only = MissionType[lists[0].upper()] if len(lists) == 1 else None
     text = write_plan(read_plan(plan.encode(), "the vehicle's plan").plan, str(file), only)
     file.write_text(text, encoding="utf-8")
-    typer.echo(f"written to {file}", err=True)
+    say(f"written to {file}", err=True)
 
 
 # --- after an interrupted transfer ------------------------------------------------------------------------------------
@@ -617,9 +617,7 @@ async def report_held(targets: str, lists: Sequence[str], sent: MissionPlan, fil
     """
     if (task := asyncio.current_task()) is not None:
         task.uncancel()
-    typer.echo(
-        "interrupted; reading what the vehicles hold now (an ArduPilot answers after 8 s; Ctrl-C stops this)", err=True
-    )
+    say("interrupted; reading what the vehicles hold now (an ArduPilot answers after 8 s; Ctrl-C stops this)", err=True)
     answers: dict[str, Any] = {}
     try:
         async with client() as gcs, waiting(f"reading {targets}"):
@@ -627,13 +625,13 @@ async def report_held(targets: str, lists: Sequence[str], sent: MissionPlan, fil
             found = await asyncio.gather(*(_held(gcs, name, lists) for name in names))
         answers = dict(zip(names, found, strict=True))
     except (SkygcsError, OSError) as error:
-        typer.echo(f"it is unknown what they hold: {error}", err=True)
+        say(f"it is unknown what they hold: {error}", err=True)
     for name, by_list in answers.items():
         for kind, answer in by_list.items():
             family = answer["autopilot"] if answer["autopilot"] in ("px4", "ardupilot") else None
             answer["message"] = held_line(answer, sent, MissionType[kind.upper()], file, family)
             if not json_output:
-                typer.echo(f"{name}: {answer['message']}")
+                say(f"{name}: {answer['message']}")
     if json_output:
         # the plan itself is left out: it is long
         kept = {

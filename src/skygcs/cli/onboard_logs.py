@@ -12,6 +12,7 @@ import typer
 
 from skygcs.cli.connection import client, exit_code, print_outcomes, run, show, waiting
 from skygcs.cli.options import Json, Targets
+from skygcs.cli.render import say
 from skygcs.errors import SkygcsError
 from skygcs.rpc.client import Client
 
@@ -63,7 +64,7 @@ def get(
         if not json_output:
             for outcome in outcomes.values():
                 for file in outcome["files"]:
-                    typer.echo(file["path"])
+                    say(file["path"])
         return code
 
     run(command)
@@ -96,7 +97,7 @@ async def _progress(*, quiet: bool) -> AsyncIterator[None]:
             async with client() as gcs:
                 async for event in gcs.events(kinds=("onboard_log",)):
                     if event["data"].get("state") == "under_way":
-                        typer.echo(f"{event['vehicle']}  {event['text']}", err=True)
+                        say(f"{event['vehicle']}  {event['text']}", err=True)
 
     task = None if quiet else asyncio.create_task(follow(), name="progress")
     try:

@@ -6,9 +6,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import typer
-
-from skygcs.cli.render import OutcomeLines, print_json, print_lines, screen_width, wrapped
+from skygcs.cli.render import OutcomeLines, print_json, print_lines, say, screen_width, wrapped
 
 Outcomes = Mapping[str, Mapping[str, Any]]
 
@@ -55,7 +53,7 @@ class OrderOutput:
             print_json({"outcomes": self.outcomes})
         elif self.form is None and failed and len(self.outcomes) > NAMED and (columns := screen_width(sys.stderr)):
             text = f"skygcs-cli: {len(failed)} of {len(self.outcomes)} failed: {', '.join(failed)}"
-            typer.echo(wrapped(text, columns, indent=2), err=True)
+            say(wrapped(text, columns, indent=2), err=True)
 
     @property
     def awaited(self) -> str:

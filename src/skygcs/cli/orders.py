@@ -31,6 +31,7 @@ from skygcs.cli.options import (
 )
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
+from skygcs.cli.render import say
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 from skygcs.rpc.error_codes import REFUSED
@@ -104,7 +105,7 @@ def _has_terminal() -> bool:
 
 
 def _ask_word() -> str:
-    typer.echo("> ", nl=False, err=True)
+    say("> ", nl=False, err=True)
     return sys.stdin.readline().strip()
 
 

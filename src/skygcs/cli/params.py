@@ -18,7 +18,7 @@ from skygcs.cli.connection import Exit, clear_spinner, run, run_offline, show
 from skygcs.cli.options import Json, OneVehicle, OrderJson, Targets
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
-from skygcs.cli.render import plural, print_json, print_lines
+from skygcs.cli.render import plural, print_json, print_lines, say
 from skygcs.config.files import read_named, write_whole
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float, value_text
 from skygcs.core.params.compare import ApplyPlan, Difference, ParamChange, diff, plan
@@ -200,7 +200,7 @@ def save(
         held = await _held(gcs, target, refresh=refresh, burst=burst)
         state = await gcs.vehicle(target)
         write_file(file, held, kind, state)
-        typer.echo(f"{len(held.params)} parameters of {held.name} saved to {file}")
+        say(f"{len(held.params)} parameters of {held.name} saved to {file}")
         return Exit.DONE
 
     run(command)
@@ -365,7 +365,7 @@ def cancel(targets: Targets) -> None:
 
     async def command(gcs: Client) -> None:
         for name, count in (await gcs.call("params.cancel", targets=targets)).items():
-            typer.echo(f"{name}: {plural(count, 'request')} stopped")
+            say(f"{name}: {plural(count, 'request')} stopped")
 
     run(command)
 
@@ -472,8 +472,7 @@ async def _progress(gcs: Client, targets: str) -> AsyncIterator[None]:
 
 async def _draw(gcs: Client, targets: str) -> None:
     async for event in gcs.events(targets, kinds=["params"]):
-        sys.stderr.write(f"\r\033[K{bar(event)}")
-        sys.stderr.flush()
+        say(bar(event), err=True, nl=False, over=True)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import typer
 from skygcs.cli.connection import Exit, fail, run, show, waiting
 from skygcs.cli.options import Json, OptionalTargets
 from skygcs.cli.params import outcome_lines
-from skygcs.cli.render import print_lines, screen_width, wrapped
+from skygcs.cli.render import print_lines, say, screen_width, wrapped
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, short_float
 from skygcs.rpc.client import Client
 
@@ -71,7 +71,7 @@ def _agreed(vehicles: Mapping[str, Any], *, yes: bool, quiet: bool) -> bool:
     plan = list(plan_lines(vehicles))
     if not plan:
         if not quiet:
-            typer.echo("no finding can be corrected by a parameter")
+            say("no finding can be corrected by a parameter")
         return False
     if not quiet:
         print_lines(("to be set:", *plan))

@@ -50,7 +50,13 @@ def print_json(value: object, *, line: bool = False) -> None:
 
 def print_lines(lines: Iterable[str]) -> None:
     for line in lines:
-        typer.echo(visible(line, lines=True))
+        say(line)
+
+
+def say(text: str, *, err: bool = False, nl: bool = True, over: bool = False) -> None:
+    """Print text for a person: the only way, since a vehicle's text or a file's name may hold what moves the cursor,
+    which is shown and not obeyed. ``over``: in place of what stands in the terminal's line."""
+    typer.echo(("\r\033[K" if over else "") + visible(text, lines=True), nl=nl, err=err)
 
 
 # --- terminal and tables ----------------------------------------------------------------------------------------------

@@ -9,9 +9,8 @@ import termios
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
-import typer
-
 from skygcs.cli.connection import client, fail
+from skygcs.cli.render import say
 from skygcs.errors import DaemonUnreachable, RefusedError, RpcError
 from skygcs.rpc.client import Client
 
@@ -44,7 +43,7 @@ async def lent(devices: Sequence[str], *, changes: bool, force: bool) -> AsyncIt
             assert gcs is not None
             await gcs.call("links.change", name=link, link={"enabled": False})
             stack.push_async_callback(_reopen, gcs, link)
-            typer.echo(f"link {link}: closed in the daemon for now", err=True)
+            say(f"link {link}: closed in the daemon for now", err=True)
         yield
 
 
@@ -78,7 +77,7 @@ async def _reopen(gcs: Client, link: str) -> None:
     except RpcError as error:
         fail(f"link {link} stays closed in the daemon ({error}); open it: skygcs-cli links change {link} enabled=true")
         return
-    typer.echo(f"link {link}: open again", err=True)
+    say(f"link {link}: open again", err=True)
 
 
 def explain(error: Exception) -> str:

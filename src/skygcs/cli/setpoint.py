@@ -32,7 +32,7 @@ import typer
 from skygcs.cli.connection import Exit, bytes_of, fail, run
 from skygcs.cli.options import Json, Targets
 from skygcs.cli.parsing import finite, parse_json, parse_unset_number, within
-from skygcs.cli.render import plural, print_json
+from skygcs.cli.render import plural, print_json, say
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.number_text import is_number
 from skygcs.rpc.client import Client
@@ -159,7 +159,7 @@ def setpoint(
             sending = forward(sender, targets, bytes_of(sys.stdin.fileno()), rate)
         else:
             if sys.stderr.isatty():
-                typer.echo(f"streaming to {targets} at {rate:g} Hz; Ctrl-C stops", err=True)
+                say(f"streaming to {targets} at {rate:g} Hz; Ctrl-C stops", err=True)
             sending = repeat(sender, targets, given, rate, duration_s)
         clock = asyncio.get_running_loop().time
         began = clock()
@@ -245,11 +245,11 @@ def _report_end(tally: SetpointTally, elapsed_s: float, after: str, json_output:
     )
     counts = "".join(f", {what}: {count:,}" for what, count in further if count)
     count = tally.sent - tally.no_taker
-    typer.echo(f"{plural(count, 'setpoint') if count else 'no setpoints'} in {elapsed_s:.1f} s{counts}")
+    say(f"{plural(count, 'setpoint') if count else 'no setpoints'} in {elapsed_s:.1f} s{counts}")
     took = [name for name, outcome in tally.outcomes.items() if outcome["ok"]]
     if took:
         stay = "stays where it is" if len(took) == 1 else "stay where they are"
-        typer.echo(f"{', '.join(took)} {stay} {after}")
+        say(f"{', '.join(took)} {stay} {after}")
 
 
 # --- lines ------------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import typer
 
 from skygcs.cli.connection import run, run_offline, run_order, run_show
 from skygcs.cli.options import Json, OrderJson, Targets
+from skygcs.cli.render import say
 from skygcs.rpc.client import Client
 
 app = typer.Typer(
@@ -67,7 +68,7 @@ def reset_clock(
     """
 
     async def command(gcs: Client) -> None:
-        typer.echo((await gcs.call("signing.reset_clock", key_id=key_id, force=force))["message"])
+        say((await gcs.call("signing.reset_clock", key_id=key_id, force=force))["message"])
 
     run(command)
 
@@ -84,7 +85,7 @@ def key(file: Annotated[Path, typer.Argument(metavar="NEWFILE", help="A file tha
         from skygcs.core.mavlink.signing import key_id
 
         made = write_new_key(Path(os.path.expanduser(file)))
-        typer.echo(f"{file}: key {key_id(made)}; keep a copy in a safe place")
+        say(f"{file}: key {key_id(made)}; keep a copy in a safe place")
 
     run_offline(command)
 

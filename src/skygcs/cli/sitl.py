@@ -48,6 +48,7 @@ from skygcs.sim.sitl import (
     px4_launch,
     refused_params,
 )
+from skygcs.terminal_text import visible
 
 DIALECT = "ardupilotmega"
 LOOPBACK = "127.0.0.1"
@@ -365,7 +366,7 @@ class _Sitl:
         how = f"ended by signal {-code}" if code < 0 else f"exited with {code}"
         print(f"skygcs: {process.instance.name} {how}; the end of {process.log}:", file=sys.stderr)
         for line in last_lines(process.log_text()):
-            print(f"  {line}", file=sys.stderr)
+            print(f"  {visible(line)}", file=sys.stderr)
         sys.stderr.flush()
         if all(p.died for p in self._processes.values()):
             self._stop.set()

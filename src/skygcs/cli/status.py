@@ -26,6 +26,7 @@ from skygcs.cli.render import (
     percent,
     plain,
     print_json,
+    say,
     table,
 )
 from skygcs.errors import RpcError
@@ -88,7 +89,7 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
             screen = console()
             screen.print(status_table(by_site(states), width=screen.width))
         else:
-            typer.echo(f"no vehicle {NOTHING_HEARD}")
+            say(f"no vehicle {NOTHING_HEARD}")
         info = await gcs.call("daemon.info")
         if left := info.get("to_undo"):
             fail(f"{left} change{'s' if left > 1 else ''} in vehicles not undone: skygcs-cli undo list")
@@ -111,7 +112,7 @@ def components(json_output: Json = False) -> None:
         elif heard:
             console().print(components_table(heard))
         else:
-            typer.echo(f"nothing {NOTHING_HEARD}")
+            say(f"nothing {NOTHING_HEARD}")
 
     run(command)
 
@@ -176,7 +177,7 @@ async def follow_states(
             if json_output:
                 print_json(state, line=True)
             elif not live:
-                typer.echo(line(state))
+                say(line(state))
                 sys.stdout.flush()
             view.refresh(now=len(states) == seen)  # a vehicle that was not shown before appears at once
             if seen >= count:
@@ -363,7 +364,7 @@ def events(
         if json_output:
             print_json(event, line=True)
         else:
-            typer.echo(event_line(event))
+            say(event_line(event))
             sys.stdout.flush()
 
     async def command(gcs: Client) -> None:
@@ -374,7 +375,7 @@ def events(
             for event in wanted:
                 print_event(event)
             if not (wanted or follow or json_output):
-                typer.echo(f"no event of kind {', '.join(kind)} yet" if kind else "no event yet")
+                say(f"no event of kind {', '.join(kind)} yet" if kind else "no event yet")
         if news is not None:
             async for event in news:
                 print_event(event)

@@ -35,11 +35,11 @@ PX4_EXTRAS = "px4-extras"
 SHIPPED_FOLDER = "dialects"
 """Name of the folder of shipped XML, in a checkout and in the installed package."""
 
-_INCLUDE = re.compile(rb"<include>\s*([^<]+?)\s*</include>")
+_INCLUDE = re.compile(rb"<include>([^<]++)</include>")
 _ENCODINGS = frozenset({"UTF-8", "UTF8", "ASCII", "US-ASCII", "ISO-8859-1"})
 """In these a tag is its ASCII bytes, which the search for includes relies on."""
 
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_COMMENT = re.compile(rb"<!--(?:.*?-->|.*)", re.DOTALL)
 
 
 def shipped_dialects_dir() -> Path:
@@ -180,7 +180,7 @@ def _collect(roots: list[Path]) -> list[tuple[Path, bytes]]:
         visible = _COMMENT.sub(lambda m: b"\n" * m.group().count(b"\n"), content)  # keeps the lines
         for match in _INCLUDE.finditer(visible):
             line = visible.count(b"\n", 0, match.start()) + 1
-            name = match.group(1).decode("utf-8", "replace")
+            name = match.group(1).decode("utf-8", "replace").strip()
             if len(chain) > MAX_INCLUDE_DEPTH:
                 raise DialectError(str(path), line, f"includes nest deeper than {MAX_INCLUDE_DEPTH}")
             included = _resolve_include(path, line, name)

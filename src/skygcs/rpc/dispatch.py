@@ -48,6 +48,12 @@ from skygcs.spelling import near_names
 MAX_ECHO_CHARS = 80
 """Most characters of a client's input that an error text repeats."""
 
+MAX_PROBLEMS = 100
+"""Problems of one request that are answered. A megabyte may have 100,000; to put one into words takes 60 us."""
+
+MAX_LISTED = 2000
+"""Problems that are looked at. To list 100,000 of them takes 0.3 s."""
+
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
 
@@ -375,7 +381,7 @@ class _MethodNotFound(SkygcsError):
     """``tables``: those of installed extensions, whether the fleet file has them or not."""
 
     def __init__(self, name: str, known: Mapping[str, object], tables: Collection[str]) -> None:
-        close = near_names(name[:MAX_ECHO_CHARS], known, n=3)
+        close = near_names(name, known, n=3)
         hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
         table, dot, _ = name[:MAX_ECHO_CHARS].partition(".")
         if dot and table in tables and not any(one.startswith(f"{table}.") for one in known):
@@ -435,7 +441,7 @@ def failure_reply(request_id: object, name: str, error: Exception) -> bytes:
 
 def _params_reply(request_id: object, name: str, problems: list[tuple[str, str]]) -> bytes:
     text = "; ".join(f"{param}: {problem}" if param else problem for param, problem in problems[:10])
-    data = {"problems": [{"param": param, "problem": problem} for param, problem in problems]}
+    data = {"problems": [{"param": param, "problem": problem} for param, problem in problems[:MAX_PROBLEMS]]}
     return error_reply(request_id, INVALID_PARAMS, f"{name}: {text}", data)
 
 
@@ -452,15 +458,16 @@ def _check(model: type[MethodParams], params: object) -> MethodParams:
         params = dict(zip(fields, params, strict=False))
     elif type(params) is not dict:
         raise InvalidParams(("", "params must be an object or an array"))
+    elif len(params) > len(model.model_fields) + MAX_PROBLEMS:  # each would be looked at
+        raise InvalidParams(("", f"{len(params)} parameters given; the method has {', '.join(model.model_fields)}"))
     try:
         return model.model_validate(params)
     except ValidationError as error:
-        if any(e["type"] == "extra_forbidden" for e in error.errors(include_url=False, include_context=False)):
-            raise _unknown_params(model, error) from None
-        raise
+        raise _invalid(model, error) from None
 
 
-def _unknown_params(model: type[MethodParams], error: ValidationError) -> InvalidParams:
+def _invalid(model: type[MethodParams], error: ValidationError) -> InvalidParams:
+    """The first `MAX_PROBLEMS` of an error in words; those of parameters that the method lacks name near ones."""
     problems = []
     known = list(model.model_fields)
     for loc, text in _problems(error):
@@ -478,8 +485,10 @@ _UNKNOWN = "no such parameter"
 
 
 def _problems(error: ValidationError) -> list[tuple[str, str]]:
+    if error.error_count() > MAX_LISTED:
+        return [("", f"{error.error_count()} values are wrong: it is not what this method takes")]
     found = []
-    for item in error.errors(include_url=False):
+    for item in error.errors(include_url=False)[:MAX_PROBLEMS]:
         text = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
         if item["type"] == "missing":
             text = "is missing"
@@ -493,8 +502,13 @@ def _problems(error: ValidationError) -> list[tuple[str, str]]:
 
 def _shown(value: object) -> str:
     """A client's value as it wrote it. Never raises."""
+    text = ""
     try:
-        return json.dumps(value, default=str)
+        for piece in json.JSONEncoder(default=str).iterencode(value):
+            text += piece
+            if len(text) > MAX_ECHO_CHARS:  # the rest is not shown
+                break
+        return text
     except (TypeError, ValueError, RecursionError):  # a key that is no text, a number of 5,000 digits, a circle
         return f"a value of type {type(value).__name__}"
 

@@ -28,6 +28,12 @@ from skygcs.rpc.models import (
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.spelling import near_names
 
+MAX_FIELDS = 255
+"""No message has more fields: each takes a byte of its payload at least."""
+
+MAX_VALUE_CHARS = 4096
+"""Longest text in the place of a field's value: all entries of the largest bit mask have 3,000 characters."""
+
 
 def _rate_or_off(rate_hz: float) -> float:
     problem = rate_problem(rate_hz)
@@ -95,7 +101,9 @@ class LatestParams(TargetParams):
 class SendParams(MethodParams):
     name: MessageName
     fields: dict[str, Any] = Field(
-        default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
+        default_factory=dict,
+        max_length=MAX_FIELDS,
+        description="Field values by name; missing fields are 0, null is NaN.",
     )
     target: Targets | None = Field(
         None, description='Vehicles or components, each with its ids filled in; "all": everyone.'
@@ -210,7 +218,7 @@ def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
     try:
         return dialect.find(name)
     except KeyError as error:
-        close = near_names(str(name)[:80].upper(), dialect.by_name, n=3)
+        close = near_names(str(name).upper(), dialect.by_name, n=3)
         hint = f"did you mean {', '.join(close)}?" if close else "messages.list lists them"
         raise InvalidParams((param, f"{error.args[0]}; {hint}")) from None
 
@@ -224,7 +232,7 @@ def _check_command(dialect: Dialect, command: str | int) -> None:
     if wanted in known:
         return
     words = [word for word in wanted.split("_") if len(word) > 2]
-    near = near_names(wanted[: dispatch.MAX_ECHO_CHARS], known, n=5)
+    near = near_names(wanted, known, n=5)
     near += sorted((n for n in known if any(w in n for w in words)), key=lambda n: -sum(w in n for w in words))
     hint = f"; did you mean {', '.join(list(dict.fromkeys(near))[:5])}?" if near else ""
     text = f"dialect {dialect.name} has no command {command[: dispatch.MAX_ECHO_CHARS]!r}{hint}"
@@ -265,6 +273,8 @@ def _field_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
     if field.array_length and field.type != "char":
         if not isinstance(value, list):
             raise ValueError(f"is {field.type}[{field.array_length}]: give a list of numbers, not {_echo(value)}")
+        if len(value) > field.array_length:
+            raise ValueError(f"is {field.type}[{field.array_length}]: {len(value)} values do not fit in it")
         return [_number_value(dialect, field, v) for v in value]
     return _number_value(dialect, field, value)
 
@@ -272,6 +282,8 @@ def _field_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
 def _number_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
     if field.type in ("float", "double") and value is None:
         return float("nan")
+    if isinstance(value, str) and len(value) > MAX_VALUE_CHARS:
+        raise ValueError(f"is {field.type}; a text of {len(value)} characters fits in no field")
     if field.type == "char":
         return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
     if isinstance(value, str) and field.enum:
@@ -293,7 +305,7 @@ def _entry(dialect: Dialect, enum: str, name: str) -> int:
     except KeyError as error:
         known = list(dialect.enums.get(enum, {}).values())
         close = [entry for entry in known if entry.endswith(f"_{name.upper()}")]
-        close = close or near_names(name.upper()[: dispatch.MAX_ECHO_CHARS], known, n=3)
+        close = close or near_names(name.upper(), known, n=3)
         raise ValueError(error.args[0] + (f"; did you mean {', '.join(close)}?" if close else "")) from None
 
 

@@ -20,6 +20,7 @@ from skygcs.errors import PlanFileError
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, command_with, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.json_lines import MAX_LINE_BYTES
 from skygcs.rpc.models import (
     ListParams,
     MethodParams,
@@ -65,7 +66,9 @@ class ArrangementParams(MethodParams):
 
 
 class PlanUploadParams(TargetsParams):
-    plan: str = Field(min_length=1, description="The content of a .plan or QGC WPL 110 file.")
+    plan: str = Field(
+        min_length=1, max_length=MAX_LINE_BYTES, description="The content of a .plan or QGC WPL 110 file."
+    )
     name: str = Field("plan", max_length=200, description="Name of the plan in error texts.")
     lists: Lists | None = Field(None, description="null: those that the plan holds.")
     arrangement: ArrangementParams | None = Field(

@@ -12,16 +12,26 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
 
 from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ
+from skygcs.core.vehicle.targets import size_problem
 
 MAX_TELEMETRY_HZ = 20.0
 """Telemetry goes out on a 50 ms grid; autopilots send position at 4 to 10 Hz, over a radio slower still."""
 
+
+MAX_TEXT_CHARS = 1000
+"""Longest text in a request, unless its own bound is another: names, kinds, addresses, paths. The daemon repeats it in
+outcomes and events, which it keeps."""
+
+MAX_NAME_CHARS = 256
+"""Longest name of a message or a command."""
 
 _RANGE = re.compile(r"([0-9]{1,3})\s*-\s*([0-9]{1,3})")
 
 
 def _targets(value: Any) -> str | list[str]:
     items = value if isinstance(value, list) else [value]
+    if (problem := size_problem(items)) is not None:
+        raise ValueError(problem)
     if not items or not all(isinstance(i, str | int) and not isinstance(i, bool) and str(i).strip() for i in items):
         raise ValueError('give a system id, a name, a group, "1,3", "2-5", "all", or a list of these')
     for part in ",".join(map(str, items)).split(","):
@@ -32,6 +42,8 @@ def _targets(value: Any) -> str | list[str]:
 
 
 def _target(value: Any) -> str:
+    if (problem := size_problem([value])) is not None:
+        raise ValueError(problem)
     if isinstance(value, bool) or not isinstance(value, str | int) or not str(value).strip():
         raise ValueError("give one vehicle: its system id or its name")
     return str(value)
@@ -40,6 +52,8 @@ def _target(value: Any) -> str:
 def _name_or_id(value: Any) -> str | int:
     if isinstance(value, bool) or not isinstance(value, str | int) or value == "":
         raise ValueError("give a name or a number")
+    if isinstance(value, str) and len(value) > MAX_NAME_CHARS:
+        raise ValueError(f"has {len(value)} characters; a name has at most {MAX_NAME_CHARS}")
     return value
 
 
@@ -85,7 +99,14 @@ Enu = Annotated[
 
 class MethodParams(BaseModel):
     # deferred: a hundred validators, of which a start needs none and a session a few
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        str_max_length=MAX_TEXT_CHARS,
+        defer_build=True,
+    )
 
 
 class NoParams(MethodParams):

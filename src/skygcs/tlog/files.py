@@ -11,6 +11,7 @@ from typing import IO, Any, BinaryIO, overload
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
+from skygcs.terminal_text import visible
 from skygcs.tlog.format import ByteSource, LogEntry, LogKind, sniff
 from skygcs.tlog.reading import LogFaults, LogReader
 from skygcs.tlog.selection import Selection
@@ -143,7 +144,7 @@ class LogFile:
 
 def note(text: str) -> None:
     """One line on stderr."""
-    print(f"note: {text}", file=sys.stderr)
+    print(f"note: {visible(text)}", file=sys.stderr)
 
 
 def _no_mavlink(path: Path) -> SkygcsError:

@@ -2,6 +2,8 @@
 
     record    microseconds since 1970, 8 bytes big-endian    frame, as it was on the wire
 
+Old files of QGroundControl have the time with its lowest byte first, which is found out by the first two records.
+
 A record has no checksum and no mark of its own, but the length of its frame gives the place of the next record. So a
 frame whose CRC is wrong or cannot be checked (unknown id) still counts as a record if another one follows in its place;
 anything else is skipped byte by byte until a record is found again.
@@ -102,6 +104,8 @@ class RecordFinder:
         self._size = len(data)
         self._messages = dialect.messages
         self._last_us: int | None = None
+        self._order: Literal["big", "little"] | None = None
+        """Order of the bytes of a time; None: not known yet, and read as "big"."""
 
     @property
     def at_end(self) -> bool:
@@ -141,13 +145,18 @@ class RecordFinder:
         if not size or len(raw) < size:
             return None
         frame, verdict = check(raw, self._messages)
-        unix_us = int.from_bytes(window[:TIME_BYTES], "big")
+        if self._order is None and verdict == "ok":
+            self._order = _order_of(window[:TIME_BYTES], window[TIME_BYTES + size :])
+        unix_us = self._time_us(window)
         if verdict != "ok":
             following = window[TIME_BYTES + size :]
             if not self._in_place(unix_us, following) or self._holds_record(unix_us, raw):
                 return None
         self._last_us = unix_us
         return LogEntry(raw, frame, verdict, unix_us, 0.0, at)
+
+    def _time_us(self, record: bytes) -> int:
+        return int.from_bytes(record[:TIME_BYTES], self._order or "big")
 
     def _in_place(self, unix_us: int, following: bytes) -> bool:
         """True if a record follows; at the end of the file, whether one went before.
@@ -157,7 +166,7 @@ class RecordFinder:
         if len(following) <= TIME_BYTES:
             other = self._last_us
         elif following[TIME_BYTES] in HEADER_BYTES:
-            other = int.from_bytes(following[:TIME_BYTES], "big")
+            other = self._time_us(following)
         else:
             return False
         return unix_us in _REAL_TIMES_US if other is None else _belong_together(unix_us, other)
@@ -169,10 +178,20 @@ class RecordFinder:
             size = frame_size(raw, at)
             if not size or at + size > len(raw):
                 continue
-            time = int.from_bytes(raw[at - TIME_BYTES : at], "big")
+            time = self._time_us(raw[at - TIME_BYTES : at])
             if _belong_together(unix_us, time) and check(raw[at : at + size], self._messages)[1] == "ok":
                 return True
         return False
+
+
+def _order_of(time: bytes, following: bytes) -> Literal["big", "little"] | None:
+    """Order of the bytes of a file's times, by a good record and what follows it; None: it does not show."""
+    if int.from_bytes(time, "big") in _REAL_TIMES_US:
+        return "big"
+    if len(following) <= TIME_BYTES or following[TIME_BYTES] not in HEADER_BYTES:
+        return None
+    both = (int.from_bytes(one, "little") for one in (time, following[:TIME_BYTES]))
+    return "little" if all(one in _REAL_TIMES_US for one in both) else None
 
 
 def _belong_together(a_us: int, b_us: int) -> bool:

@@ -267,6 +267,9 @@ BROKEN = {
         5,
         "gone",
     ),
+    # to look for the end of each of them took minutes, or days
+    "long-include": (f"{HEAD}<include>{' ' * 30_000}<\n</mavlink>", 3, ""),
+    "open-comments": (f"{HEAD}{'<!--' * 200_000}", 3, ""),
     "own-include": (f"{HEAD}<include>own-include.xml</include>\n</mavlink>", 3, "includes this file again"),
     "id-of-common": (
         f"{HEAD}<include>common.xml</include>\n<messages>\n{message(id='30')}</messages></mavlink>",

@@ -161,6 +161,7 @@ sysid = 1
             "[vehicles.a]\nsysid = 1\ngroup = 'all'",
             "vehicles.a.group (line 3): the group name 'all' means every vehicle",
         ),
+        (f"[defaults]\ngroup = '{'g' * 65}'", "has 65 characters; a name has at most 64"),
         ("[defaults]\ngroup = '5'", "defaults.group (line 2): the group name '5' looks like a system id"),
         ("[types.t]\ngroup = ['x', 'y,z']", "types.t.group (line 2): the group name 'y,z' contains ','"),
         (

@@ -33,7 +33,7 @@ async def test_a_request_that_the_daemon_would_not_read_is_refused_here_and_wait
     empty = len(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "vehicles.get", "params": {"target": ""}}))
     with pytest.raises(RpcError, match=f"{MAX_LINE_BYTES + 1} bytes; the daemon takes"):
         await connection.request("vehicles.get", {"target": "x" * (MAX_LINE_BYTES + 1 - empty)})
-    with pytest.raises(RpcError, match="no vehicle"):  # one byte less is read
+    with pytest.raises(RpcError, match="the targets have more than"):  # one byte less is read
         await connection.request("vehicles.get", {"target": "x" * (MAX_LINE_BYTES - empty)}, encoded=True)
     assert not connection._calls
     assert not connection._encoded

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, deadline_refusal
-from skygcs.rpc.models import MethodParams, NoParams
+from skygcs.rpc.models import MAX_TEXT_CHARS, MethodParams, NoParams
 from skygcs.rpc.replies import key_twice, parse
 from support.table import each
 
@@ -141,6 +141,32 @@ def test_every_wrong_parameter_is_told_in_words() -> None:
     }
     assert all(param in answer["error"]["message"] for param in problems)
     assert "pydantic" not in json.dumps(answer)
+
+
+@each(
+    "params", [{f"k{n}": 0 for n in range(5000)}, {"first": {f"k{n}": 0 for n in range(5000)}, "second": 1}, [0] * 5000]
+)
+def test_what_is_wrong_with_a_megabyte_is_told_in_a_few_words(params: Any) -> None:
+    assert len(json.dumps(ask(request(params=params)))) < 1000
+
+
+def test_thousands_of_wrong_values_are_counted() -> None:
+    class ManyParams(MethodParams):
+        pairs: list[PairParams]
+
+    dispatcher = Dispatcher[Calls]({"many": Method("many", ManyParams, lambda calls, params: None)})
+    answer = ask(request("many", {"pairs": [{"first": "x", "third": 1}] * 5000}), dispatcher)
+    assert answer["error"]["code"] == -32602 and "10000 values are wrong" in answer["error"]["message"]
+    assert len(json.dumps(answer)) < 1000
+
+
+def test_a_long_text_is_refused_before_an_order_repeats_it_for_each_vehicle() -> None:
+    class ModeParams(MethodParams):
+        mode: str
+
+    assert ModeParams(mode="x" * MAX_TEXT_CHARS)
+    with pytest.raises(ValidationError, match=f"at most {MAX_TEXT_CHARS}"):
+        ModeParams(mode="x" * (MAX_TEXT_CHARS + 1))
 
 
 @each("params", [7, "x", True, [1, 2, 3], {"first": "1"}, {"first": True}, {"first": 1.5}])

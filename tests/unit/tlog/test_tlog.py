@@ -83,6 +83,19 @@ def test_what_is_written_is_read_again(entries: list[tuple[int, int, bool]]) -> 
     assert [r.offset for r in records] == [data.index(encode_record(r.unix_us, r.raw), r.offset) for r in records]
 
 
+def test_times_with_their_lowest_byte_first_are_read_so_and_a_damaged_one_turns_no_file() -> None:
+    us = 1_350_000_000_000_000
+    bad, lost = bytearray(heartbeat(2)), b"\xfd" * 3
+    bad[-1] ^= 1
+    raws = [heartbeat(1), heartbeat(1), bytes(bad), heartbeat(1)]
+    old = b"".join((us + n).to_bytes(8, "little") + raw + lost * (n == 1) for n, raw in enumerate(raws))
+    records, skipped = read(old)
+    assert [(r.unix_us, r.verdict) for r in records] == [(us + n, "bad_crc" if n == 2 else "ok") for n in range(4)]
+    assert skipped == 3 and records[-1].at_s == pytest.approx(3e-6)
+    damaged = us.to_bytes(8, "little") + heartbeat(1) + log(heartbeat(1), heartbeat(1))
+    assert [r.unix_us for r in read(damaged)[0]][1:] == [r.unix_us for r in read(log(heartbeat(1), heartbeat(1)))[0]]
+
+
 def test_a_truncated_last_record_is_skipped_wherever_it_is_cut() -> None:
     whole = log(*[frame("STATUSTEXT", {"text": f"number {n}"}, seq=n) for n in range(3)])
     last = read(whole)[0][-1].offset

@@ -8,6 +8,8 @@
     LISTING    LOG_ENTRY                              LISTING     Report
     LISTING    the last missing one, or "there is     DONE        LOG_REQUEST_END, Finish: accepted
                none" (num_logs 0)
+    LISTING    another num_logs                       LISTING     - (the list begins anew)
+    LISTING    that, after MAX_CHANGES                DONE        LOG_REQUEST_END, Finish: incomplete
     LISTING    timer: quiet, tries left               LISTING     LOG_REQUEST_LIST of the missing range
     LISTING    timer: no tries left                   DONE        LOG_REQUEST_END, Finish: timeout or incomplete
 
@@ -57,6 +59,10 @@ TRIES = 20
 
 MAX_LOGS = 2000
 """ArduPilot keeps 500 at most, PX4 as many as the card holds; more entries are not kept."""
+
+MAX_CHANGES = 4
+"""How often the number of logs may change while they are listed. Each time the list begins anew; with two vehicles of
+one id it would never end."""
 
 MAX_LOG_BYTES = (1 << 32) - 1
 
@@ -136,6 +142,7 @@ class OnboardLogList(_LogMachine):
         super().__init__()
         self.entries: dict[int, LogInfo] = {}
         self._count: int | None = None
+        self._changes = 0
 
     def start(self, now: float) -> tuple[Effect, ...]:
         assert self.state is LogState.IDLE, "start is called once"
@@ -149,6 +156,10 @@ class OnboardLogList(_LogMachine):
         if count == 0:
             return self._finish("accepted", "it has no logs")
         if self._count is not None and count != self._count:
+            if self._changes == MAX_CHANGES:
+                text = f"its number of logs was another one {MAX_CHANGES + 1} times: do two vehicles have its id?"
+                return self._finish("incomplete", text)
+            self._changes += 1
             self.entries.clear()  # logs came or went
         self._count = count
         if info.id not in self.entries and len(self.entries) < MAX_LOGS:

@@ -17,7 +17,16 @@ from skygcs.spelling import near_names
 MAX_PARTS = 1000
 """Longer lists are refused; a fleet has at most 250 vehicles."""
 
-_COMPONENT = re.compile(r"(.+?)\s*/\s*(\d{1,3})")
+MAX_CHARS = 32_768
+"""Longer expressions are refused unread: the longest names of a whole fleet have 16,000 characters. To look at each
+part of one of a megabyte takes the loop half a second, in which nothing is flown."""
+
+MAX_PART_CHARS = 128
+"""Longest part: a name, with a site before it and a component behind it."""
+
+MAX_NAME_CHARS = 64
+"""Longest name of a vehicle or group."""
+
 _RANGE = re.compile(r"(\d{1,3})\s*-\s*(\d{1,3})")
 
 _NOT_SHOWN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
@@ -52,6 +61,8 @@ def name_problem(name: str) -> str | None:
     something else there; and they are shown on terminals, which obey control characters."""
     if not name.strip():
         return "is empty"
+    if len(name) > MAX_NAME_CHARS:
+        return f"has {len(name)} characters; a name has at most {MAX_NAME_CHARS}"
     if name.lower() == "all":
         return "means every vehicle"
     if name.isdecimal():
@@ -128,17 +139,35 @@ def names_component(part: str, known: Iterable[Targetable]) -> bool:
 
 def _split(part: str, known: Sequence[Targetable]) -> tuple[str, int | None]:
     """(systems, component id) of a part; None if it names vehicles. A vehicle's or group's name may contain a slash."""
-    match = _COMPONENT.fullmatch(part)
-    if match is None or any(part == v.name or part in v.groups for v in known):
+    whose, _, compid = part.rpartition("/")
+    whose, compid = whose.rstrip(), compid.lstrip()
+    if not (whose and 0 < len(compid) <= 3 and compid.isdecimal()):
         return part, None
-    return match[1], int(match[2])
+    if any(part == v.name or part in v.groups for v in known):
+        return part, None
+    return whose, int(compid)
+
+
+def size_problem(items: Sequence[object]) -> str | None:
+    """Why so many targets, or such long ones, are not even looked at; None: they are."""
+    if len(items) > MAX_PARTS:
+        return f"{len(items)} targets in one order; at most {MAX_PARTS}"
+    if any(isinstance(item, int) and not -MAX_CHARS < item < MAX_CHARS for item in items):
+        return "a system id is a number from 1 to 255"  # one of 5,000 digits raises when it is shown
+    if sum(len(item) for item in items if isinstance(item, str)) > MAX_CHARS:
+        return f"the targets have more than {MAX_CHARS} characters; name groups, or give several orders"
+    return None
 
 
 def parts_of(expression: str | int | Sequence[str | int]) -> list[str]:
-    """The parts of a target expression. Raises TargetError for none, or too many."""
+    """The parts of a target expression. Raises TargetError for none, too many, or one that is too long."""
     items: Sequence[str | int] = [expression] if isinstance(expression, str | int) else expression
+    if (problem := size_problem(items)) is not None:
+        raise TargetError(problem)
     parts = [part.strip() for item in items for part in str(item).split(",")]
     parts = [part for part in parts if part]
+    if (long := next((part for part in parts if len(part) > MAX_PART_CHARS), None)) is not None:
+        raise TargetError(f"the target {long[:40]!r}… has {len(long)} characters; a name has at most {MAX_NAME_CHARS}")
     if not parts:
         raise TargetError("no target given; give a system id, a name, a group, a range such as 2-5, a list, or all")
     if len(parts) > MAX_PARTS:

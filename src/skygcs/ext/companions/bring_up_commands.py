@@ -14,7 +14,7 @@ import typer
 from skygcs import __version__
 from skygcs.cli.connection import Exit, client, fail, print_outcomes, run_offline
 from skygcs.cli.options import Json, with_groups
-from skygcs.cli.render import Cell, LiveView, duration, print_json, print_lines, screen_width, table, wrapped
+from skygcs.cli.render import Cell, LiveView, duration, print_json, print_lines, say, screen_width, table, wrapped
 from skygcs.core.vehicle.targets import select
 from skygcs.errors import DaemonUnreachable
 from skygcs.ext.companions.bring_up import service_control
@@ -113,7 +113,7 @@ async def _up(
         entry = progress.data["stages"][stage]
         if plain and entry["ok"] is not None:
             word = "ok  " if entry["ok"] else "FAIL"
-            typer.echo(f"{loop.time() - began:6.1f} s  {word} {progress.name:<{width}}  {stage:<9}  {entry['text']}")
+            say(f"{loop.time() - began:6.1f} s  {word} {progress.name:<{width}}  {stage:<9}  {entry['text']}")
 
     def open_session(companion: Companion) -> contextlib.AbstractAsyncContextManager[Session]:
         assert connect is not None

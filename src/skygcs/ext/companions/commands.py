@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 
 from skygcs.cli.connection import Exit, fail, print_outcomes, run_offline
 from skygcs.cli.options import Json, with_groups
-from skygcs.cli.render import LiveView, duration, plural, print_json, print_lines, screen_width, table, wrapped
+from skygcs.cli.render import LiveView, duration, plural, print_json, print_lines, say, screen_width, table, wrapped
 from skygcs.errors import CompanionError, RefusedError
 from skygcs.ext.companions.bring_up import service_control
 from skygcs.ext.companions.bring_up.host_keys import HostKeys, fingerprint
@@ -524,7 +524,7 @@ def _printed(targets: str, ssh: Ssh, command_of: Callable[[Session], Any], *, fo
                     kept.append([kind, line])
                     del kept[:-MAX_JSON_LINES]
                 else:
-                    typer.echo(f"{companion.name:<{width}}  {line}", err=kind == "err")
+                    say(f"{companion.name:<{width}}  {line}", err=kind == "err")
 
             async with connected(companion, connect.host_keys, connect.identity) as session:
                 progress.step = "running"
@@ -560,7 +560,7 @@ def _report(done: dict[str, Progress], json_output: bool) -> Exit:
 
 def _print_errors(lines: Iterable[str]) -> None:
     for line in lines:
-        typer.echo(wrapped(line, screen_width(sys.stderr), indent=5), err=True)
+        say(wrapped(line, screen_width(sys.stderr), indent=5), err=True)
 
 
 def add_to(app: typer.Typer) -> None:

@@ -7,7 +7,6 @@ import contextlib
 import importlib
 import re
 import socket
-import sys
 import time
 from collections.abc import Sequence
 from datetime import datetime
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skygcs.cli.connection import Exit, client, run_offline
-from skygcs.cli.render import plural
+from skygcs.cli.render import plural, say
 from skygcs.cli.topics import extension_commands
 from skygcs.errors import SkygcsError
 
@@ -59,10 +58,10 @@ def logs(
         since_unix_s = parse_since(since, time.time())
         done = asyncio.run(_collect(places[:-1], Path(places[-1]), since_unix_s, fleet))
         for problem in done.problems:
-            print(f"error: {problem}", file=sys.stderr)
+            say(f"error: {problem}", err=True)
         if parquet:
             _write_tables(done.files)
-        print(f"{plural(len(done.files), 'log')} complete, {done.fetched_bytes / 1e6:.1f} MB collected now")
+        say(f"{plural(len(done.files), 'log')} complete, {done.fetched_bytes / 1e6:.1f} MB collected now")
         return Exit.FAILED if done.problems else Exit.DONE
 
     run_offline(command)
@@ -141,4 +140,4 @@ def _write_tables(files: Sequence[Path]) -> None:
     if tools is None:
         raise SkygcsError("the log tools are not installed, which write Parquet files")
     for line in importlib.import_module(tools[1]).parquet_beside(files):
-        print(line)
+        say(line)

@@ -18,6 +18,9 @@ from skygcs.tlog.reading import LogFaults
 MOST_KINDS = 8
 """Different (autopilot, type) of one source's heartbeats that are counted; more are an attack."""
 
+MOST_MODES = 100
+"""Different modes of one vehicle that are listed: ArduPilot's and PX4's have 55 at most. A custom mode has 32 bits."""
+
 
 @dataclass(slots=True)
 class SeenVehicle:
@@ -41,7 +44,7 @@ class SeenVehicle:
         base_mode = fields.get("base_mode", 0)
         self.armed = self.armed or bool(base_mode & SAFETY_ARMED)
         mode = mode_name(self.autopilot, self.type, base_mode, fields.get("custom_mode", 0))
-        if mode not in self.modes:
+        if len(self.modes) < MOST_MODES and mode not in self.modes:
             self.modes.append(mode)
 
     def as_dict(self, source: _Source, dialect: Dialect) -> dict[str, Any]:

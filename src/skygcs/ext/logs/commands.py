@@ -18,6 +18,7 @@ import typer
 from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_number
+from skygcs.cli.render import say
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
@@ -26,6 +27,7 @@ from skygcs.ext.logs.census import Census
 from skygcs.ext.logs.cutting import filter_log, merge_logs, split_log
 from skygcs.ext.logs.player import play_log
 from skygcs.ext.logs.table_files import write_tables
+from skygcs.terminal_text import visible
 from skygcs.tlog.files import KIND_NAMES, opened_log
 from skygcs.tlog.selection import Selection, SourceFilter
 from skygcs.tlog.timeline import speed_problem
@@ -86,6 +88,9 @@ Without = Annotated[
     str | None, typer.Option("--without", metavar="LIST", help="Messages to leave out.", show_default=False)
 ]
 
+MOST_ROWS = 300
+"""Most rows of a table for a person: more than any fleet has. The 65,000 sources of an attack take a minute."""
+
 _MINUTES = re.compile(r"(?:(\d+):)?(\d+):(\d{2}(?:\.\d+)?)")
 _SOURCE = re.compile(r"(\d{1,3})(?:/(\d{1,3}))?")
 _RANGE = re.compile(r"(\d{1,3})-(\d{1,3})")
@@ -135,7 +140,7 @@ def _filter(
     def command() -> None:
         table = dialect_named(dialect)
         chosen = selection(table, begin, end, vehicles, messages, without, fleet, addressed)
-        typer.echo(filter_log(file, out, chosen, table, force))
+        say(filter_log(file, out, chosen, table, force))
 
     run_offline(command)
 
@@ -153,7 +158,7 @@ def _merge(
     """
 
     def command() -> None:
-        typer.echo(merge_logs(files, out, dialect_named(dialect), force))
+        say(merge_logs(files, out, dialect_named(dialect), force))
 
     run_offline(command)
 
@@ -308,7 +313,7 @@ def _plot(
         from skygcs.ext.logs.flight_plot import plot_log
 
         table = dialect_named(dialect)
-        typer.echo(plot_log(file, path, selection(table, begin, end, vehicles, fleet=fleet), place, table))
+        say(plot_log(file, path, selection(table, begin, end, vehicles, fleet=fleet), place, table))
 
     run_offline(command)
 
@@ -346,14 +351,14 @@ def _play(
     def command() -> None:
         table = dialect_named(dialect)
         chosen = selection(table, begin, end, vehicles, messages, without, fleet)
-        typer.echo(play_log(file, where, chosen, speed, loop, everything, table))
+        say(play_log(file, where, chosen, speed, loop, everything, table))
 
     run_offline(command)
 
 
 def _print_lines(lines: Sequence[str]) -> None:
     for line in lines:
-        typer.echo(line)
+        say(line)
 
 
 def _place(text: str) -> tuple[float, float]:
@@ -569,7 +574,9 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     console = Console(soft_wrap=True)
     # the file as a whole
     duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
-    console.print(f"[bold]{escape(file.name)}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False)
+    console.print(
+        f"[bold]{escape(visible(file.name))}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False
+    )
     console.print(
         f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} with an unknown id, "
         f"{answer['skipped_bytes']} bytes skipped",
@@ -581,21 +588,28 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     if answer["vehicles"]:
         table = Table("vehicle", "autopilot", "type", "heard, s", "armed", "lost", box=box.SIMPLE_HEAD)
         table.add_column("modes", overflow="fold")
-        for v in answer["vehicles"]:
+        for v in answer["vehicles"][:MOST_ROWS]:
             heard = "" if v["first_s"] is None else f"{v['first_s']:.1f} to {v['last_s']:.1f}"
             armed, lost = "yes" if v["armed"] else "no", f"{100 * v['loss_ratio']:.1f} %"
             row = (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, armed, lost)
             table.add_row(*row, "\n".join(v["modes"]))
         console.print(table)
+        _print_more(len(answer["vehicles"]))
     else:
         console.print("no vehicle")
     # its sources and messages
     for title, counts in (("source", answer["sources"]), ("message", answer["types"])):
         table = Table(title, box=box.SIMPLE_HEAD)
         table.add_column("frames", justify="right")
-        for name, count in counts.items():
+        for name, count in list(counts.items())[:MOST_ROWS]:
             table.add_row(name, str(count))
         console.print(table)
+        _print_more(len(counts))
+
+
+def _print_more(rows: int) -> None:
+    if rows > MOST_ROWS:
+        say(f"  and {rows - MOST_ROWS:,} more; --json has all")
 
 
 def _remarks(answer: dict[str, Any]) -> list[str]:

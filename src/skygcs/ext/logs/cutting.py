@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import operator
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -16,6 +17,7 @@ from skygcs.ext.logs.flight import MOST_VEHICLES
 from skygcs.tlog.files import LogFile, Outputs, make_folder, note, opened_log
 from skygcs.tlog.format import LogEntry, encode_record
 from skygcs.tlog.selection import Selection
+from skygcs.tlog.timeline import CLOCK_STEP_US
 
 REST = "rest"
 
@@ -56,7 +58,7 @@ def merge_logs(paths: Sequence[Path], out: Path, dialect: Dialect, force: bool) 
     """Write all records of several tlogs by time; returns a line for the user.
 
     Records of one file keep their order, also where its time goes backwards; for equal times the file named first
-    comes first.
+    comes first. A record with a damaged time is written behind the one before it.
     """
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(opened_log(path, dialect)) for path in paths]
@@ -66,7 +68,7 @@ def merge_logs(paths: Sequence[Path], out: Path, dialect: Dialect, force: bool) 
         outputs = stack.enter_context(Outputs(force))
         file = outputs.open_bytes(out)
         count = 0
-        for entry in heapq.merge(*(log.entries() for log in logs), key=_time_us):
+        for _, entry in heapq.merge(*(_timed(log.entries()) for log in logs), key=operator.itemgetter(0)):
             write_entry(file, entry)
             count += 1
         for log in logs:
@@ -149,8 +151,29 @@ def _suffix(log: LogFile) -> str:
     return suffix or TLOG_SUFFIX
 
 
-def _time_us(entry: LogEntry) -> int:
-    return entry.unix_us or 0
+def _timed(entries: Iterable[LogEntry]) -> Iterator[tuple[int, LogEntry]]:
+    """Entries with the times by which they are merged: their own, but that of the one before where a time is a day away
+    from those on both sides. By its own, all that follows it would be written behind all other files."""
+    time_us: int | None = None
+    held: LogEntry | None = None
+    """It is a day away from the one before."""
+    for entry in entries:
+        own_us = entry.unix_us or 0
+        if held is not None:
+            held_us = held.unix_us or 0
+            if abs(own_us - held_us) < CLOCK_STEP_US:
+                time_us = held_us  # the clock was set, or another flight begins
+            elif time_us is None:
+                time_us = min(own_us, held_us)
+            yield time_us, held
+            held = None
+        if time_us is not None and abs(own_us - time_us) < CLOCK_STEP_US:
+            time_us = own_us
+            yield own_us, entry
+        else:
+            held = entry
+    if held is not None:
+        yield (held.unix_us or 0) if time_us is None else time_us, held
 
 
 def _units(log: LogFile) -> str:

@@ -338,8 +338,8 @@ def _warnings(vehicles: Sequence[VehicleFlight]) -> list[tuple[float, str, str, 
 
 
 def _plain(text: str) -> str:
-    """The text without what matplotlib reads as mathematics, at most a line long."""
-    text = "".join(c if c.isprintable() else "·" for c in text).replace("$", r"\$")
+    """The text as a line that is not too long."""
+    text = "".join(c if c.isprintable() else "·" for c in text)
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 

@@ -14,6 +14,7 @@ from skygcs.cancellation import together
 from skygcs.cli.connection import run
 from skygcs.cli.options import OptionalTargets
 from skygcs.cli.parsing import finite
+from skygcs.cli.render import say
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs import foxglove_schemas as schemas
@@ -143,7 +144,7 @@ def foxglove(
         raise typer.BadParameter("--rate: more than 0 and at most 20")
 
     def ready(bound: int) -> None:
-        typer.echo(f"ws://{host}:{bound}", err=True)
+        say(f"ws://{host}:{bound}", err=True)
 
     async def command(gcs: Client) -> None:
         await serve(gcs, targets, host, port, rate_hz, ready)

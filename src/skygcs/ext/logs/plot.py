@@ -10,6 +10,7 @@ import typer
 
 from skygcs.cli.connection import run_offline
 from skygcs.cli.parsing import finite
+from skygcs.cli.render import say
 
 PLOT_SUFFIXES = (".png", ".svg")
 
@@ -41,7 +42,7 @@ def plot(
         from skygcs.ext.logs.trace_plot import draw
 
         measured = draw(file, path, begin_s, math.inf if end_s is None else end_s)
-        typer.echo(f"{path}: {figures_line(measured)}")
+        say(f"{path}: {figures_line(measured)}")
 
     run_offline(command)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import re
 import sys
 from collections.abc import Callable
@@ -12,7 +13,17 @@ from typing import IO, Any, Protocol
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
-from skygcs.ext.logs.tables import FLIGHT_COLUMNS, NUMBER, TEXT, TIME, FlightTables, Kind, MessageColumns, VehicleKey
+from skygcs.ext.logs.tables import (
+    FLIGHT_COLUMNS,
+    NUMBER,
+    TEXT,
+    TIME,
+    FlightTables,
+    Kind,
+    MessageColumns,
+    VehicleKey,
+    csv_text,
+)
 from skygcs.tlog.files import LogFile, Outputs, make_folder, opened_log
 from skygcs.tlog.selection import Selection
 
@@ -56,12 +67,20 @@ def seconds(time_us: int) -> str:
     return f"{time_us // 1_000_000}.{time_us % 1_000_000:06d}"
 
 
-_CELLS: dict[Kind, Callable[[Any], str]] = {TIME: seconds, "float": lambda value: format(value, ".9g")}
+_CELLS: dict[Kind, Callable[[Any], str]] = {
+    TIME: seconds,
+    "float": lambda value: format(value, ".9g"),
+    TEXT: functools.partial(csv_text, lines=True),
+}
 """9 digits give back every float of 32 bits; a double is written by repr."""
+
+LATEST_US = (1 << 63) - 1
+"""Parquet's timestamps are signed. A later time was never a flight's: a byte of it is damaged."""
 
 
 class ParquetTable:
-    """Columns with the types of the message's fields; times are timestamps of UTC in microseconds."""
+    """Columns with the types of the message's fields; times are timestamps of UTC in microseconds, none beyond
+    LATEST_US."""
 
     def __init__(self, file: IO[bytes], columns: tuple[tuple[str, Kind], ...]) -> None:
         import pyarrow as pa
@@ -71,19 +90,24 @@ class ParquetTable:
         self._pa = pa
         self._schema = pa.schema([(name, _arrow_type(pa, kind)) for name, kind in columns])
         self._writer = pq.ParquetWriter(file, self._schema)
+        self._times = [n for n, (_, kind) in enumerate(columns) if kind == TIME]
         self._most = max(CELLS_PER_GROUP // len(columns), 1)
         self._waiting: list[list[Any]] = []
 
     def add(self, row: list[Any]) -> None:
         self.rows += 1
+        for n in self._times:
+            row[n] = None if row[n] is None or row[n] > LATEST_US else row[n]
         self._waiting.append(row)
         if len(self._waiting) >= self._most:
             self._write()
 
     def close(self) -> None:
-        if self._waiting:
-            self._write()
-        self._writer.close()
+        try:
+            if self._waiting:
+                self._write()
+        finally:
+            self._writer.close()
 
     def _write(self) -> None:
         columns = [

@@ -11,6 +11,7 @@ from skygcs.core.mavlink.modes import mode_name
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup, decode_attitude, decode_position
+from skygcs.terminal_text import visible
 from skygcs.tlog.format import LogEntry
 
 LONGEST_SPLIT = 32
@@ -23,8 +24,18 @@ TEXT: Kind = "text"
 TIME: Kind = "time"
 NUMBER: Kind = "number"
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""A spreadsheet takes text that begins so for a formula; texts come from outside."""
+
 HEAD = (("time", TIME), ("sysid", "uint8_t"), ("compid", "uint8_t"))
 """The columns before the fields; ``time`` is microseconds since 1970, None in a raw capture."""
+
+
+def csv_text(text: str, *, lines: bool = False) -> str:
+    """A text of a vehicle as a cell of CSV: with an apostrophe before what a spreadsheet would take for a formula, and
+    without what moves a terminal, or begins a row where it is not quoted. ``lines``: newlines and tabs stay."""
+    shown = visible(text, lines=lines)
+    return f"'{shown}" if text.startswith(FORMULA) else shown
 
 
 class MessageColumns:

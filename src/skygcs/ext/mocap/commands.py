@@ -15,7 +15,7 @@ import typer
 
 from skygcs.cli.connection import fail, run_show
 from skygcs.cli.options import Json
-from skygcs.cli.render import fixed, plural
+from skygcs.cli.render import fixed, plural, say
 from skygcs.ext.mocap.recording import CaptureState, parse_line
 from skygcs.ext.mocap.source import SYSTEMS
 
@@ -120,7 +120,7 @@ def _record(line: list[str], out: BinaryIO, seconds: float | None) -> int:
                 said = parse_line(one)
                 if isinstance(said, CaptureState):
                     failed = said.state == "failed"
-                    typer.echo(f"{said.state}: {said.text}", err=True)
+                    say(f"{said.state}: {said.text}", err=True)
                 elif said is not None:
                     out.write(one + b"\n")
                     frames += 1
@@ -131,7 +131,7 @@ def _record(line: list[str], out: BinaryIO, seconds: float | None) -> int:
         process.wait()
         process.stdout.close()
     # report
-    typer.echo(f"{plural(frames, 'frame')} recorded")
+    say(f"{plural(frames, 'frame')} recorded")
     return 1 if failed or not frames else 0
 
 

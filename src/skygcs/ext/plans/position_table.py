@@ -35,6 +35,9 @@ AXES = ("x", "y", "z")
 LARGEST_FILE = 1 << 20
 """Bytes; 255 vehicles need some 20 kB."""
 
+MAX_PROBLEMS = 50
+"""Problems that are told at once; a file of another kind has one in each line."""
+
 MOST_VEHICLES = 255
 LARGEST_M = 1e5
 """100 km: a larger number is a mistake, such as degrees or microdegrees in place of metres."""
@@ -67,7 +70,8 @@ def parse_table(source: str, data: bytes) -> Table:
     if len(table) > MOST_VEHICLES:
         problems.append(f"{len(table)} vehicles; there are at most {MOST_VEHICLES} system ids")
     if problems:
-        raise ConfigError(source, problems)
+        more = [f"and {len(problems) - MAX_PROBLEMS:,} more"] if len(problems) > MAX_PROBLEMS else []
+        raise ConfigError(source, [*problems[:MAX_PROBLEMS], *more])
     return table
 
 
@@ -80,7 +84,11 @@ def _from_csv(text: str, problems: list[str]) -> Table:
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
     if not lines:
         return {}
-    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), skipinitialspace=True))
+    try:
+        rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), skipinitialspace=True))
+    except csv.Error as error:  # a cell of more than 131,072 characters
+        problems.append(f"not CSV: {error}")
+        return {}
     header = [cell.strip() for cell in rows[0]]
     wanted = ("vehicle", *(f"{w}_{c}" for w in ("initial", "final") for c in (*AXES, "heading_deg")))
     unknown = [cell for cell in header if cell not in wanted]

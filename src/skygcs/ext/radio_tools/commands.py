@@ -20,7 +20,7 @@ import typer
 from skygcs.cli.connection import Exit, fail, run_offline, waiting
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_pairs, parse_rates, within
-from skygcs.cli.render import print_json, print_lines
+from skygcs.cli.render import print_json, print_lines, say
 from skygcs.cli.serial_ports import lent
 from skygcs.errors import ConfigError, LinkError, RefusedError, SkygcsError
 from skygcs.ext.radio_tools.change import Ledger, Visit, change, look
@@ -140,10 +140,10 @@ def backup(
         _, state = asyncio.run(_look_lent(radio))
         text = to_toml(state, f"Read from {radio.name}.")
         if file is None:
-            typer.echo(text, nl=False)
+            say(text, nl=False)
         else:
             file.write_text(text, encoding="utf-8")
-            typer.echo(f"{len(state.registers)} settings of {radio.name} -> {file}")
+            say(f"{len(state.registers)} settings of {radio.name} -> {file}")
 
     run_offline(command)
 
@@ -183,7 +183,7 @@ def _diff(radios: Mapping[str, RadioState], json_output: bool) -> int:
             print_lines(_difference_lines((first, name), rows) if rows else equal)
         print_lines(f"network: {text}" for text in wrong)
         if multipoint and not wrong:
-            typer.echo("the radios fit together as one network")
+            say("the radios fit together as one network")
     different = any(d.name not in NODE_OWN or not multipoint for rows in found.values() for d in rows)
     return Exit.FAILED if different or wrong else Exit.DONE
 
@@ -299,9 +299,9 @@ def _change_one(radio: RadioAtPort, wanted: Wanted, json_output: bool) -> int:
     else:
         _print_ledger(radio.name, ledger)
     if "SERIAL_SPEED" in ledger.written and radio.remote is None:
-        typer.echo("set the same baud for this link in the fleet file, and for the autopilot's port", err=True)
+        say("set the same baud for this link in the fleet file, and for the autopilot's port", err=True)
     if "NODEID" in ledger.written:
-        typer.echo(
+        say(
             f"no other radio of this network may have node id {ledger.wanted['NODEID']}; to compare them: "
             "skygcs-cli radio diff PORT PORT …",
             err=True,
@@ -433,7 +433,7 @@ def _show_network(fleet: Path, plan: NetworkPlan, json_output: bool) -> int:
         print_json({"nodes": plan.nodes, "plan": rows, "radios": []})
     else:
         print_lines(_plan_lines(rows))
-        typer.echo(f"set them up: skygcs-cli radio provision {fleet} PORT … [--node K]; all powered at the same time")
+        say(f"set them up: skygcs-cli radio provision {fleet} PORT … [--node K]; all powered at the same time")
     return Exit.DONE
 
 
@@ -456,7 +456,7 @@ def _provision(plan: NetworkPlan, radios: Sequence[RadioAtPort], first: int, jso
         last = first + len(radios) - 1
         left = [str(i) for i in range(1, plan.nodes + 1) if not first <= i <= last]
         further = f"; still to do: radio {', '.join(left)}" if left else ""
-        typer.echo(f"{good} of {len(radios)} radios are set up{further}")
+        say(f"{good} of {len(radios)} radios are set up{further}")
     return Exit.DONE if good == len(radios) else Exit.FAILED
 
 
@@ -466,7 +466,7 @@ async def _set_up(plan: NetworkPlan, radios: Sequence[RadioAtPort], position: in
     async with lent([radio.port for radio in radios], changes=True, force=radios[0].force):
         for i, radio in enumerate(radios, position):
             if not quiet:
-                typer.echo(f"{radio.port}: radio {i + 1} of {plan.nodes}, {plan.name(i)} …")
+                say(f"{radio.port}: radio {i + 1} of {plan.nodes}, {plan.name(i)} …")
 
             def wanted(state: RadioState, i: int = i) -> Mapping[str, int]:
                 return plan.settings(i, state.firmware)
@@ -600,11 +600,11 @@ def _print_ledger(where: str, ledger: Ledger) -> None:
     """Print the result of a change; a failure goes to stderr."""
     prefix = "" if ledger.ok else "requested: "
     for name, value in ledger.wanted.items():
-        typer.echo(f"{where}: {prefix}{name} {ledger.before.get(name)} -> {value}")
+        say(f"{where}: {prefix}{name} {ledger.before.get(name)} -> {value}")
     if ledger.node_table is not None:
-        typer.echo(f"{where}: {prefix}{ledger.node_table} (the master's node table; it cannot be read back)")
+        say(f"{where}: {prefix}{ledger.node_table} (the master's node table; it cannot be read back)")
     for i, text in enumerate(ledger.sentences()):
-        typer.echo(f"{where}: {'' if ledger.ok else 'FAIL ' if i == 0 else '     '}{text}", err=not ledger.ok)
+        say(f"{where}: {'' if ledger.ok else 'FAIL ' if i == 0 else '     '}{text}", err=not ledger.ok)
 
 
 def _ledger_json(where: str, ledger: Ledger) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import typer
 from skygcs.cli.connection import Exit, run_offline, waiting
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_rates, within
-from skygcs.cli.render import print_json, print_lines
+from skygcs.cli.render import print_json, print_lines, say
 from skygcs.cli.serial_ports import lent
 from skygcs.core.radio_link.capacity import MAX_NODES, assumed_timing
 from skygcs.errors import ConfigError, LinkError, RefusedError
@@ -69,10 +69,10 @@ def measure(
         else:
             print_lines(summary(row))
         if output is None:
-            typer.echo("not written; to plan with it: -o FILE", err=True)
+            say("not written; to plan with it: -o FILE", err=True)
         else:
             _write(output, row)
-            typer.echo(f"AIR_SPEED {row['air_speed_kbps']} -> {output}", err=True)
+            say(f"AIR_SPEED {row['air_speed_kbps']} -> {output}", err=True)
         return Exit.DONE
 
     run_offline(command)

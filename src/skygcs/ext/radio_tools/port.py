@@ -21,6 +21,7 @@ import serial
 import typer
 
 from skygcs.cli.connection import Exit
+from skygcs.cli.render import say
 from skygcs.cli.serial_ports import explain, port_rate
 from skygcs.errors import LinkError, RefusedError
 from skygcs.ext.radio_tools.change import Visit
@@ -281,7 +282,7 @@ def emulate_pair(links: tuple[Path, Path], air_kbps: float, loss: float) -> int:
         _make_free(link)
     config = TdmConfig(2, air_kbps, loss=loss)
     ports = EmulatedPair(links, RadioPair(config, load_dialect("common"), Rng(1), time.monotonic()))
-    typer.echo(f"emulated radios at {links[0]} (node 1) and {links[1]} (node 2), 57600 baud; Ctrl-C ends them")
+    say(f"emulated radios at {links[0]} (node 1) and {links[1]} (node 2), 57600 baud; Ctrl-C ends them")
     try:
         ports.serve()
     finally:
@@ -297,7 +298,7 @@ def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:
         raise typer.BadParameter(f"--remotes: {remotes!r} are not node ids separated by commas") from None
     _make_free(link)
     port = EmulatedPort(link, radio)
-    typer.echo(f"an emulated {kind} radio at {link}, {radio.baud} baud; Ctrl-C ends it")
+    say(f"an emulated {kind} radio at {link}, {radio.baud} baud; Ctrl-C ends it")
     try:
         port.serve()
     finally:

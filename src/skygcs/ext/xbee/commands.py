@@ -14,7 +14,7 @@ import typer
 
 from skygcs.cli.connection import Exit, run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.render import print_json, print_lines
+from skygcs.cli.render import print_json, print_lines, say
 from skygcs.cli.serial_ports import lent
 from skygcs.core.xbee.registers import (
     LIKELY_BAUD,
@@ -106,7 +106,7 @@ def set_values(
         else:
             print_lines(changed or ["nothing had to be changed"])
         if "BD" in wanted and address is None:
-            typer.echo("set the same baud for this link in the fleet file", err=True)
+            say("set the same baud for this link in the fleet file", err=True)
         return Exit.DONE
 
     run_offline(command)

@@ -64,6 +64,7 @@ def test_reads_every_way_in_which_the_others_write(line: str, value: float, comm
         ("THIS_NAME_IS_TOO_LONG,1", "at most 16"),
         ("A,1 and more", "line 1: 'and more' follows the value"),
         ("A,1\n\nA,2", "line 3: A is 2 here and 1 in line 1"),
+        ("A" + " " * 400_000 + "#x", "line 1: 'A    "),  # took minutes
         ("@INCLUDE other.parm", "line 1: @INCLUDE is for files on board"),
         ("1\t1\tA\t1\t6\n1\t1\tB\t1", "line 2: has 4 columns"),
         ("1\t1\tA\t1\t77", "line 1: A: type '77'"),

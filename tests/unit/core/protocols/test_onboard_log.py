@@ -199,3 +199,14 @@ def test_entries_without_end_are_not_kept_without_end() -> None:
         if machine.done:
             break
     assert len(machine.entries) <= 2000 and machine.done
+
+
+def test_a_number_of_logs_that_changes_without_end_ends_the_list() -> None:
+    machine, now = OnboardLogList(), 0.0
+    machine.start(now)
+    while not machine.done:
+        now += 0.1
+        machine.on_entry(LogInfo(1, 9, 0), 2 + round(now * 10) % 2, now)
+        assert now < 60.0
+    assert machine.outcome is not None and machine.outcome.result == "incomplete"
+    assert "two vehicles" in machine.outcome.message

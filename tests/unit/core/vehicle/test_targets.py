@@ -73,6 +73,14 @@ def test_a_part_that_names_none_is_named_with_what_there_is(bad: str) -> None:
         ("5-2", "2-5"),
         *((empty, "no target") for empty in ("", ",", " , ", [])),
         (",".join(["1"] * (MAX_PARTS + 1)), "at most"),
+        # of a megabyte each took the loop minutes to days
+        *(
+            (long, "characters")
+            for long in ("a" + " " * 30_000 + "b", "a" + " " * 400_000 + "b", "/" * 30_000, "x" * 200)
+        ),
+        *((long, "has 5000 characters") for long in ("9" * 5000, f"1-{'9' * 4998}", f"{'9' * 4998}/1", ["9" * 5000])),
+        (["1"] * (MAX_PARTS + 1), "at most"),
+        *(([number], "from 1 to 255") for number in (10**5000, -(10**5000))),
         *(
             (wrong, f"no vehicle '{wrong}'; did you mean '{right}'")
             for wrong, right in (("alhpa", "alpha"), ("bravo1", "bravo"), ("bleu", "blue"))

@@ -183,6 +183,13 @@ def test_a_merge_is_by_time_and_stable(tmp_path: Path) -> None:
     found = [(raw[5], raw[4], us - T0_US) for us, raw in records(out)]
     assert found == [(1, 0, 0), (2, 0, 0), (2, 1, 6), (1, 1, 10), (1, 2, 5), (1, 3, 20), (2, 2, 20)]
 
+    # a damaged time moves nothing behind all other files; a clock that was set does
+    day = 86_400_000_000
+    c, d = log("c.tlog", 0, 1 << 62, 7, -T0_US, 9, sysid=1), log("d.tlog", 1 << 62, 3, 8, 2 * day, 2 * day + 1, sysid=2)
+    assert run("merge", c, d, "-o", out, "--force").stdout == f"{out}: 10 records of 2 files\n"
+    found = [(raw[5], raw[4]) for _, raw in records(out)]
+    assert found == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 2), (1, 3), (2, 2), (1, 4), (2, 3), (2, 4)]
+
 
 def test_a_split_loses_nothing_and_a_merge_puts_it_together_again(tmp_path: Path) -> None:
     run("split", CAPTURE, "-o", tmp_path / "parts")

@@ -200,6 +200,23 @@ def test_a_person_gets_the_same_as_tables(tmp_path: Path, capsys: pytest.Capture
     assert "[odd] name.tlog: tlog, 1 records" in out and "no vehicle" in out
 
 
+def test_a_person_gets_no_table_without_end_and_no_escape_sequence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("skygcs.ext.logs.commands.MOST_ROWS", 3)
+    assert print_info([tlog(tmp_path / "a\x1b[2J.tlog", *map(heartbeat, range(1, 9)))]) == 0
+    out, _ = capsys.readouterr()
+    assert "3/1" in out and "4/1" not in out and out.count("and 5 more; --json has all") == 2
+    assert "\x1b" not in out and "a\\x1b[2J.tlog: tlog" in out
+
+
+def test_modes_without_end_are_not_listed_without_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (vehicle,) = info(
+        tlog(tmp_path / "x.tlog", *(heartbeat(1, autopilot=3, custom_mode=n) for n in range(500))), capsys
+    )["vehicles"]
+    assert vehicle["heartbeats"] == 500 and len(vehicle["modes"]) == 100
+
+
 def test_several_files_are_a_list_and_a_bad_one_does_not_hide_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -90,7 +90,7 @@ class _Page(HTMLParser):
 
 
 def test_the_page_needs_nothing_else_and_shows_texts_as_text(tmp_path: Path) -> None:
-    log, out = tmp_path / "<b>.tlog", tmp_path / "out.html"
+    log, out = tmp_path / "<b>$\\frac{$.tlog", tmp_path / "out.html"
     evil = frame("STATUSTEXT", {"severity": 2, "text": "<script>alert(1)</script> $x$"})
     pieces = [heartbeat(1, autopilot=3, custom_mode=4), evil, heartbeat(1, autopilot=3, custom_mode=9)]
     content = b"".join(encode_record(T0_US + n * 1_000_000, raw) for n, raw in enumerate(pieces))
@@ -106,7 +106,7 @@ def test_the_page_needs_nothing_else_and_shows_texts_as_text(tmp_path: Path) -> 
         "critical",
         "GUIDED",
         "LAND",
-        "<b>.tlog",
+        "<b>$\\frac{$.tlog",
         "3 bytes belong to no record",
     ):
         assert word in page.text, word

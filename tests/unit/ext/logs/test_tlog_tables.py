@@ -138,10 +138,36 @@ def test_nothing_to_show_is_no_table(tmp_path: Path) -> None:
 
 def test_text_with_commas_and_quotes_comes_back(tmp_path: Path) -> None:
     log = tmp_path / "in.tlog"
-    texts = ['a, "b"', "x\ny", "é€", "=1+1", ""]
+    texts = ['a, "b"', "x\ny", "é€", "", "1=1"]
     log.write_bytes(b"".join(encode_record(T0_US + n, frame("STATUSTEXT", {"text": t})) for n, t in enumerate(texts)))
     run(log, "--message", "STATUSTEXT")
     assert [row["text"] for row in table(tmp_path / "in-STATUSTEXT.csv")] == texts
+
+
+def test_a_text_does_nothing_to_a_spreadsheet_or_a_terminal(tmp_path: Path) -> None:
+    log = tmp_path / "in.tlog"
+    texts = {
+        "=1+1": "'=1+1",
+        "@SUM(1)": "'@SUM(1)",
+        "-2": "'-2",
+        "a\rb": "a\\rb",
+        "\x1b]0;x\x07\u202e": "\\x1b]0;x\\x07\\u202e",
+    }
+    log.write_bytes(b"".join(encode_record(T0_US + n, frame("STATUSTEXT", {"text": t})) for n, t in enumerate(texts)))
+    run(log, "--message", "STATUSTEXT")
+    assert [row["text"] for row in table(tmp_path / "in-STATUSTEXT.csv")] == list(texts.values())
+    assert "\x1b" not in run(log, "--message", "STATUSTEXT", "-o", "-").output
+
+
+def test_a_damaged_time_costs_parquet_that_time_alone(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    log = tmp_path / "in.tlog"
+    log.write_bytes(b"".join(encode_record(us, frame("STATUSTEXT")) for us in (T0_US, 1 << 63, (1 << 64) - 1, T0_US)))
+    run(log, "--all", "--parquet")
+    times = parquet.read_table(tmp_path / "in-STATUSTEXT.parquet").column("time")
+    assert [time.value for time in times] == [T0_US, None, None, T0_US]
 
 
 def test_parquet_holds_the_same_with_types(tmp_path: Path) -> None:

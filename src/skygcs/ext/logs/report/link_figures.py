@@ -152,6 +152,8 @@ class CommandDelays:
         self._names = dialect.enums.get("MAV_CMD", {})
         self._open: dict[tuple[int, int], _Asked] = {}
         self._delays: dict[tuple[int, int], _Delays] = {}
+        self._kinds: Counter[int] = Counter()
+        """Different commands to each system."""
 
     def add(self, frame: Frame, now: float) -> None:
         """A COMMAND_LONG, COMMAND_INT or COMMAND_ACK."""
@@ -164,8 +166,9 @@ class CommandDelays:
         if not key[0]:  # to all: several answers, and nobody knows how many
             return
         if delays is None:
-            if sum(system == key[0] for system, _ in self._delays) >= MOST_KINDS:
+            if self._kinds[key[0]] >= MOST_KINDS:
                 return
+            self._kinds[key[0]] += 1
             delays = self._delays[key] = _Delays()
         waiting = self._open.get(key)
         if waiting is not None and now - waiting.at_s <= ANSWER_S:

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from skygcs.cli.connection import Exit, fail, run_offline
-from skygcs.cli.render import plural
+from skygcs.cli.render import plural, say
 from skygcs.config.files import open_regular
 from skygcs.core.geo import Origin
 from skygcs.core.separation import Footprint
@@ -75,7 +75,7 @@ def report(
         wanted, with_plan = _with_plan(wanted, plan or [], names)
         made = gather(wanted, dialect_named(dialect))
         with_plan(made)
-        typer.echo(write_report(made, output, tables, force=force))
+        say(write_report(made, output, tables, force=force))
         problems = failures(made)
         for problem in problems:
             fail(f"{folder}: {problem}")

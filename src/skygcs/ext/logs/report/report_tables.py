@@ -20,7 +20,7 @@ from skygcs.ext.logs.report.day_figures import (
     Trace,
     VehicleDay,
 )
-from skygcs.ext.logs.tables import VehicleKey
+from skygcs.ext.logs.tables import VehicleKey, csv_text
 from skygcs.number_text import rounded
 from skygcs.terminal_text import visible
 
@@ -28,9 +28,6 @@ NONE = "–"
 
 DBM_SLOPE, DBM_OFFSET = 1.9, 127.0
 """SiK radios: dBm = count / 1.9 - 127 (their documentation of RADIO_STATUS)."""
-
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""A spreadsheet takes text that begins so for a formula; texts come from outside, and get an apostrophe before it."""
 
 Show = Callable[[Any], str]
 
@@ -67,8 +64,7 @@ def _cell(column: Column, value: Any) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.6f}" if column.name.endswith("time_s") else repr(round(value, 6))
-    text = visible(str(value))  # a bare carriage return would begin a row
-    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text
+    return csv_text(value) if isinstance(value, str) else visible(str(value))
 
 
 # -- how values are shown

@@ -19,7 +19,7 @@ import typer
 from skygcs.cli.connection import run, run_offline
 from skygcs.cli.options import Json, with_groups
 from skygcs.cli.plan_reading import read_files
-from skygcs.cli.render import console, print_json, table
+from skygcs.cli.render import console, print_json, say, table
 from skygcs.core.geo import Origin
 from skygcs.core.plan.crazyswarm import write_crazyswarm
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
@@ -265,9 +265,9 @@ def _answered(answer: Answer, output: Path | None, limits: MotionLimits, json_ou
         return print_refusal(answer, json_output)
     written = _write(output, answer["plan"], limits)
     if not json_output and answer["attempts"]:
-        typer.echo(f"plan: {answer['attempts'][-1]}")
+        say(f"plan: {answer['attempts'][-1]}")
         for reason in answer["reasons"]:
-            typer.echo(f"  tried before: {reason}")
+            say(f"  tried before: {reason}")
     return print_answer(answer, json_output, "paths", written)
 
 
@@ -352,7 +352,7 @@ def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_outpu
     if json_output:
         print_json({"format": found.format, "phases": phases, "vehicles": rows})
         return
-    typer.echo(f"{found.format}: {len(rows)} vehicles" + (f", phases {', '.join(phases)}" if phases else ""))
+    say(f"{found.format}: {len(rows)} vehicles" + (f", phases {', '.join(phases)}" if phases else ""))
     columns = ("vehicle", "from", "to", "s", "m/s", "pieces")
     cells = [
         [
@@ -367,7 +367,7 @@ def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_outpu
     ]
     console().print(table(columns, cells, right=("s", "m/s", "pieces")))
     if output is not None:
-        typer.echo(f"drawn in {output}")
+        say(f"drawn in {output}")
 
 
 def _place(values: Sequence[float]) -> str:

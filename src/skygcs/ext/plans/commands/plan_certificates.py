@@ -9,10 +9,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import typer
-
 from skygcs.cli.connection import Exit, fail
-from skygcs.cli.render import console, print_json, table
+from skygcs.cli.render import console, print_json, say, table
 from skygcs.ext.plans.planning.process import run
 from skygcs.rpc.client import Client
 
@@ -78,20 +76,20 @@ def print_certificate(certificate: Answer, written: str = "") -> None:
     duration_s, closest = certificate["duration_s"], certificate["closest"]
     duration = "" if duration_s is None else f", {duration_s:.1f} s"
     word = "certified" if certificate["certified"] else "REFUSED"
-    typer.echo(f"{word}: {certificate['vehicles']} vehicles, {certificate['kind']}{duration}")
+    say(f"{word}: {certificate['vehicles']} vehicles, {certificate['kind']}{duration}")
     for reason in certificate["reasons"]:
-        typer.echo(f"  {reason}")
+        say(f"  {reason}")
     if closest is None:
-        typer.echo("one vehicle and nothing it could meet")
+        say("one vehicle and nothing it could meet")
     else:
         if certificate["certified"]:
-            typer.echo(f"closest: {closest['text']}")
+            say(f"closest: {closest['text']}")
         _print_terms(closest, certificate["downwash_ratio"])
         flown_m = closest["flown_at_least_m"]
         if certificate["certified"] and flown_m is not None:
-            typer.echo(f"flown within these terms they stay {flown_m:.2f} m apart, by their own positions")
+            say(f"flown within these terms they stay {flown_m:.2f} m apart, by their own positions")
     if written:
-        typer.echo(written)
+        say(written)
 
 
 def _print_terms(closest: Answer, ratio: float) -> None:

@@ -13,6 +13,7 @@ import typer
 
 from skygcs.cli.parsing import finite
 from skygcs.cli.plan_reading import bytes_of
+from skygcs.cli.render import say
 from skygcs.core.geo import Origin
 from skygcs.core.plan.formations import CURRENT, POINTS, SHAPES, WantedFormation
 from skygcs.core.plan.plan_files import ReadPlan
@@ -58,9 +59,9 @@ def print_notes(found: ReadPlan) -> None:
     if found.origin is not None and found.notes:
         at = found.origin
         place = f"{at.lat_deg:.7f}, {at.lon_deg:.7f}, {at.alt_amsl_m:.2f} m AMSL, x to {at.x_heading_deg:g}°"
-        typer.echo(f"positions are about {place}: the fleet's origin, when they are flown", err=True)
+        say(f"positions are about {place}: the fleet's origin, when they are flown", err=True)
     for note in found.notes:
-        typer.echo(note, err=True)
+        say(note, err=True)
 
 
 # --- starts, goals and formations -------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ from skygcs.cli import render
 from skygcs.cli.connection import Exit, fail, run, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, within
-from skygcs.cli.render import LiveView, print_json, print_lines
+from skygcs.cli.render import LiveView, print_json, print_lines, say
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan
 from skygcs.core.plan.margins import MarginRule
 from skygcs.errors import DaemonUnreachable, RefusedError, RpcError, SkygcsError, TargetError
@@ -149,9 +149,9 @@ def _check(rows: Table, separation_m: float | None, json_output: bool) -> int:
         return Exit.DONE if good else Exit.FAILED
     print_lines(line for certificate in found.values() for line in certificate.reasons())
     counts = ", ".join(f"{len(points)} {which} positions" for which, points in places.items())
-    typer.echo(f"{len(rows)} vehicles: {counts}" + ("; certified" if good else ""))
+    say(f"{len(rows)} vehicles: {counts}" + ("; certified" if good else ""))
     if good and closest is not None:
-        typer.echo(f"closest: {closest.text()}")
+        say(f"closest: {closest.text()}")
     return Exit.DONE if good else Exit.FAILED
 
 
@@ -218,7 +218,7 @@ async def _fly(
         where = ", ".join(f"{f.name} ({f.distance_m:.2f} m away)" for f in away)
         fail(f"{len(flights) - len(away)} of {len(flights)} arrived in {took_s:.1f} s; not: {where}")
     else:
-        typer.echo(f"all {len(flights)} arrived in {took_s:.1f} s")
+        say(f"all {len(flights)} arrived in {took_s:.1f} s")
     return Exit.FAILED if away else Exit.DONE
 
 
@@ -379,7 +379,7 @@ async def _follow(gcs: Client, flights: Sequence[TableFlight], radius_m: float, 
             flight.connected = bool(state["connected"])
             position = (state.get("position") or {}).get("enu_m")
             if position is not None and flight.see(_point(position), elapsed_s, radius_m) and lines:
-                typer.echo(f"{elapsed_s:7.1f} s  {flight.name} arrived, {flight.distance_m:.2f} m from its position")
+                say(f"{elapsed_s:7.1f} s  {flight.name} arrived, {flight.distance_m:.2f} m from its position")
                 sys.stdout.flush()
             view.refresh()
             if all(f.settled for f in flights):

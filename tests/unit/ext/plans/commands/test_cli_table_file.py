@@ -96,6 +96,8 @@ def test_every_problem_is_reported_at_once_with_its_line(tmp_path: Path) -> None
         ("name,x,y,z\nalpha,1,2,3\n", "t.csv", "not 'name'"),
         ("vehicle,final_x,final_x\n", "t.csv", "the columns are"),
         ("vehicle,final_x,final_y,final_z\n" + "".join(f"v{i},{i},0,5\n" for i in range(300)), "t.csv", "at most 255"),
+        ("vehicle,final_x,final_y,final_z\na," + "9" * 200_000, "t.csv", "not CSV: field larger than"),
+        ("vehicle,final_x,final_y,final_z\n" + "v,1,2,x\n" * 250, "t.csv", "and 200 more"),
         ("", "t.toml", "it names no vehicle"),
         ("[vehicles", "t.toml", "Expected ']'"),
         ("a = 1\n[vehicles.a]\nfinal=[1,2,3]", "t.toml", "a: unknown"),
