@@ -16,7 +16,6 @@ import hmac
 import socket
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
@@ -113,7 +112,6 @@ class Session(ClientPeer):
         self._relays_operator = False
         self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
-        self._batch: _Batch | None = None
         self._at_end: dict[object, Callable[[], None]] = {}
         self._deadline: asyncio.TimerHandle | None = None
 
@@ -248,12 +246,9 @@ class Session(ClientPeer):
     # -- lines
 
     def work(self) -> bool:
-        """Process one complete line, or one request of a batch; True if there may be another one."""
+        """Process one complete line; True if there may be another one."""
         if self._hub.services.fleet.sleep.check():  # all are closed: lines of before a standstill are not carried out
             return False
-        if self._batch is not None:
-            self._go_on(self._batch)
-            return self._transport is not None
         limit_bytes = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
         if not self.writable or self._answered or (line := self.next_line(limit_bytes)) is None:
             self.pace_reading(wait=self._answered)
@@ -341,26 +336,20 @@ class Session(ClientPeer):
         if len(requests) > MAX_BATCH:
             text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
             return self.reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
-        self._batch = _Batch(deque(requests), twice)
-
-    def _go_on(self, batch: _Batch) -> None:
-        """Begin the next request of a batch; with the last one it is answered."""
-        request = batch.requests.popleft()
-        reply = self._start(request, batch.twice)
-        if isinstance(reply, bytes):
-            batch.size += len(reply)
-            if batch.size > client_peer.MAX_OUTPUT_BYTES // 2:
-                text = f"the replies of this batch exceed {client_peer.MAX_OUTPUT_BYTES // 2} bytes"
-                reply = error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
-        batch.replies.append(reply)
-        if self._batch is None:  # its client was put out by what it asked for
-            batch.close()
-        elif not batch.requests:
-            self._batch = None
-            if any(isinstance(reply, Coroutine) for reply in batch.replies):
-                self._run(batch.replies, batch=True)
-            else:
-                self.reply(_joined([r for r in batch.replies if isinstance(r, bytes)]))
+        replies: list[dispatch.Reply] = []
+        size = 0
+        for request in requests:
+            reply = self._start(request, twice)
+            if isinstance(reply, bytes):
+                size += len(reply)
+                if size > client_peer.MAX_OUTPUT_BYTES // 2:
+                    text = f"the replies of this batch exceed {client_peer.MAX_OUTPUT_BYTES // 2} bytes"
+                    reply = error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
+            replies.append(reply)
+        if any(isinstance(reply, Coroutine) for reply in replies):
+            self._run(replies, batch=True)
+        else:
+            self.reply(_joined([r for r in replies if isinstance(r, bytes)]))
 
     def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
         """Finish what takes time in a task of its own, which ends with the client at the latest.
@@ -420,7 +409,7 @@ class Session(ClientPeer):
 
     def _close_if_idle(self) -> None:
         """After the client's end of file, or its one request: close once nothing is left to send."""
-        if self._transport is None or self.tasks or self._batch is not None:
+        if self._transport is None or self.tasks:
             return
         if self._answered or (self._eof and not (self._subscriptions or self._lines)):
             self._hang_up()
@@ -443,26 +432,6 @@ class Session(ClientPeer):
         for task in self.tasks:
             task.cancel()
         self._lines.clear()
-        batch, self._batch = self._batch, None
-        if batch is not None:
-            batch.close()
-
-
-@dataclass(slots=True)
-class _Batch:
-    """A batch whose requests are begun one by one, as lines are: all clients have their turns between them."""
-
-    requests: deque[Any]
-    twice: Callable[[], str | None]
-    replies: list[dispatch.Reply] = field(default_factory=list)
-    size: int = 0
-    """Bytes of the replies that are known."""
-
-    def close(self) -> None:
-        """Its client is gone: what waits for the rest of it is not begun."""
-        for reply in self.replies:
-            if isinstance(reply, Coroutine):
-                reply.close()
 
 
 def _is_relay(request: object) -> bool:

@@ -203,26 +203,6 @@ async def test_a_batch_is_answered_as_one_without_its_notifications(bench: Bench
     assert (await peer.answer())["error"]["code"] == -32005
 
 
-async def test_others_have_their_turn_between_the_requests_of_a_batch(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """128 times the states of 250 vehicles in one turn took the loop three seconds, in which nothing is flown."""
-    monkeypatch.setattr(sessions, "TURN_S", -1.0)
-    greedy, other = await bench.connect(), await bench.connect()
-    turns = 0
-
-    def count() -> None:
-        nonlocal turns
-        turns += 1
-        asyncio.get_running_loop().call_soon(count)
-
-    greedy.send([{"jsonrpc": "2.0", "id": n, "method": "daemon.info"} for n in range(100)])
-    count()
-    assert "result" in await other.call("daemon.info")
-    assert len(await greedy.answer()) == 100
-    assert turns > 100
-
-
 async def test_garbage_is_answered_and_the_next_request_works(bench: Bench) -> None:
     peer = await bench.connect()
     peer.send(b"{", b"\xff\xfe\x00", b"[" * 50_000, b"", b"   ", b"null", {"id": 1})
