@@ -16,6 +16,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.core.protocols.command import Outcome
+from skygcs.runtime import onboard_orders
+from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.firmware_modes import CopterMode
 from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, flown
@@ -438,3 +441,20 @@ async def test_an_order_that_is_refused_ends_no_turns(tmp_path: Path) -> None:
             assert not (await gcs.outcome("vehicles.mode", targets=name, mode="AUTO.LOITER"))["ok"]
             gcs.sim(name).faults.refuse_mode = ""
         await gcs.until(lambda: gcs.sim("v2").armed, 240.0)
+
+
+async def test_an_order_that_comes_before_the_start_has_been_answered_ends_the_turns(tmp_path: Path) -> None:
+    """It was taken for the start itself: its number was the last one when the start's answer was looked at."""
+    async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
+        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR), force=True)
+        orders, starts = gcs.daemon.fleet.orders, onboard_orders.start_mission
+
+        async def start(actor: VehicleActor) -> Outcome:
+            outcomes = await orders.command_all(actor.name, starts, force=True)
+            assert (await orders.command_all(actor.name, starts, first=2, force=True))[actor.name].ok
+            return outcomes[actor.name]
+
+        assert (await gcs.daemon.fleet.turns.begin([gcs.actor("v1"), gcs.actor("v2")], start))["v1"].ok
+        await gcs.until(
+            lambda: any("v1 was ordered something else; v2 does not start" in t for t in gcs.texts(0.0, "mission")), 5.0
+        )

@@ -113,6 +113,8 @@ class Moves:
     """False once a newer order has taken its place; called when its turn has come."""
     taken: Callable[[], str | None] = lambda: None
     """Why it is left to a pilot now, None: it is sent; called then, too, and before each repeat."""
+    ended_only: bool = False
+    """No newer order but one that ends the flight takes its place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,12 +371,14 @@ class CommandClient:
         for command in [c for c, r in self._running.items() if not is_exempt(r.request.clearance)]:
             self.stop(command, "refused", message)
 
-    def supersede(self, specs: Collection[CommandSpec]) -> None:
-        """A newer order moves the vehicle: older commands are not repeated any more. One with equal fields goes on,
-        and so does one that was run without ``moves``."""
+    def supersede(self, specs: Collection[CommandSpec], *, ends_flight: bool) -> None:
+        """A newer order moves the vehicle, or ends its flight: older commands are not repeated any more. One with equal
+        fields goes on, and so does one that was run without ``moves``."""
         for command, running in list(self._running.items()):
-            if running.request.moves is not None and running.protocol.spec not in specs:
-                self.stop(command, "cancelled", SUPERSEDED)
+            moves = running.request.moves
+            if moves is None or running.protocol.spec in specs or (moves.ended_only and not ends_flight):
+                continue
+            self.stop(command, "cancelled", SUPERSEDED)
 
     def close(self, reason: str) -> None:
         """Nothing is sent any more, whatever still waits for its turn: the daemon ends, or its vehicle was dropped."""

@@ -134,7 +134,8 @@ class MissionTurns:
             if not outcome.ok:
                 self._report_end(f"{actor.name} did not start: {outcome.message}")
                 return
-            self._numbers[actor.vehicle.key] = actor.runner.effective
+            effective, number = actor.runner.effective, outcome.order_number
+            self._numbers[actor.vehicle.key] = effective if number is None else number  # a newer one is not ours
             if actor is self._round[-1]:
                 return
             items = await actor.missions.known_items()

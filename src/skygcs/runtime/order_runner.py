@@ -37,6 +37,9 @@ MOVING = frozenset(
 )
 """Orders that replace the one in progress."""
 
+ENDING = EVERYWHERE | {"stop"}
+"""Orders that end a flight; they replace an arming in progress, too."""
+
 RETRY_S = 1.0
 """ArduPilot's estimator converges some ten seconds after the start; one attempt a second costs 90 B/s of the link."""
 
@@ -142,6 +145,12 @@ class OrderRunner:
         """Orders that move the vehicle and are repeated until it accepts them (`retry`)."""
         self._order_ended = asyncio.Event()
         """Set at each end of a plan in progress, or of an order that is repeated."""
+        self._ending_number = first_number
+        """``number`` of the last order that ends a flight."""
+        self._armings = 0
+        """Commands in progress that arm."""
+        self._armed_within = -math.inf, -math.inf
+        """When the last one that may have had an effect was sent, and until when a heartbeat may yet show it."""
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
         """Plans that can be undone: each has a task of its own, which undoes it even if its caller is cancelled."""
@@ -359,7 +368,9 @@ class OrderRunner:
             return await self._execute(plan, clearance)
         self.number += 1
         self._newest = plan
-        self._commands.supersede(_commands(plan))
+        if plan.order in ENDING:
+            self._ending_number = self.number
+        self._commands.supersede(_commands(plan), ends_flight=plan.order in ENDING)
         number, mode = self.number, self._vehicle.custom_mode
         serial = self._in_flight[number] = ORDER_SERIAL.get() or OWN
         ended: Outcome | None = None
@@ -535,17 +546,13 @@ class OrderRunner:
             return Outcome.refused(str(error))
         assert spec is not None
 
-        def wanted() -> bool:
-            return self.number == number or (self._newest is not None and spec in _commands(self._newest))
-
-        moves = Moves(wanted, lambda: self._taken(plan, run.were_in))
         with self._arming(spec) as answered:
             outcome = await self._commands.run(
                 spec,
                 emergency=plan.emergency,
                 satisfied=met,
                 on_report=lambda percent: self.report_progress(plan.order, percent),
-                moves=moves if plan.order in MOVING and not plan.final else None,
+                moves=self._moves(spec, run),
                 with_repeats=step.with_repeats,
                 clearance=run.clearance,
             )
@@ -558,21 +565,40 @@ class OrderRunner:
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
 
+    def _moves(self, spec: CommandSpec, run: _PlanInProgress) -> Moves | None:
+        """Conditions for the command of a plan. An arming moves nothing yet: it stands beside newer orders, but for one
+        that ends the flight."""
+        plan, number = run.plan, run.number
+        if plan.order == "arm":
+            return Moves(lambda: self._ending_number <= number, ended_only=True)
+        if plan.order not in MOVING or plan.final:
+            return None
+
+        def wanted() -> bool:
+            return self.number == number or (self._newest is not None and spec in _commands(self._newest))
+
+        return Moves(wanted, lambda: self._taken(plan, run.were_in))
+
     @contextmanager
     def _arming(self, spec: CommandSpec) -> Iterator[Callable[[Outcome], None]]:
         """While the command is sent, and until heartbeats have followed, the vehicle counts as one that may be armed,
-        if the command arms. The function that it yields gets the outcome; without one the command may have arrived."""
+        if the command arms. The function that it yields gets the outcome; without one the command may have arrived. One
+        that had no effect leaves what others, before it or beside it, may have."""
         outcomes: list[Outcome | None] = [None]
         if not arms(spec):
             yield outcomes.append
             return
         vehicle = self._vehicle
+        self._armings += 1
         vehicle.arming_at, vehicle.arming_until = self._loop.time(), math.inf
         try:
             yield outcomes.append
         finally:
-            may_be = _may_have_effect(outcomes[-1])
-            vehicle.arming_until = self._loop.time() + RECENTLY_ARMED_S if may_be else -math.inf
+            self._armings -= 1
+            if _may_have_effect(outcomes[-1]):
+                self._armed_within = vehicle.arming_at, self._loop.time() + RECENTLY_ARMED_S
+            if not self._armings:
+                vehicle.arming_at, vehicle.arming_until = self._armed_within
 
     async def _proved(
         self, step: Step, proof: TargetProof, plan: Plan, run: _PlanInProgress, accepted: Outcome

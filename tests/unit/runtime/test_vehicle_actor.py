@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mission.item import MissionType
 from skygcs.core.protocols.command import RETRY_TIMERS_S, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S, is_being_armed
 from skygcs.runtime import home_orders
 from skygcs.runtime.task_set import ORDER_SERIAL, OWN, TaskSet, ask
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -507,6 +508,34 @@ async def test_a_landing_takes_the_place_of_a_takeoff_in_the_making(ground: Grou
     assert land.ok, land.message
     assert (await takeoff).result == "cancelled"
     assert TAKEOFF not in [c for c, _ in vehicle.commands()]
+
+
+async def test_an_arming_that_is_denied_leaves_one_before_it_that_may_yet_show(ground: Ground) -> None:
+    """A landing would have been answered "it is on the ground and disarmed already"."""
+    vehicle, actor = await one(ground, ARDUPILOT)
+    vehicle.script = lambda v, sent: None
+    assert (await actor.arm()).result == "timeout"
+    vehicle.script = refusing(ARM, 2)
+    assert not (await actor.arm()).ok
+    assert is_being_armed(actor.vehicle, ground.loop.time())
+    await asyncio.sleep(RECENTLY_ARMED_S + 0.1)
+    assert not is_being_armed(actor.vehicle, ground.loop.time())
+
+
+async def test_a_disarming_takes_the_place_of_an_arming_that_is_still_repeated(ground: Ground) -> None:
+    """It waited for its turn behind the arming, which came through meanwhile."""
+    vehicle, actor = await one(ground, ARDUPILOT)
+    vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.param1 == 0 else None  # it misses the arming
+    arm = asyncio.create_task(actor.arm())
+    await asyncio.sleep(0.3)
+    beside = asyncio.create_task(actor.set_mode("ALT_HOLD"))
+    await asyncio.sleep(0.3)
+    assert not arm.done(), "any other order stands beside it"
+    before = len(vehicle.commands())
+    assert (await actor.disarm()).ok
+    assert (await arm).result == "cancelled"
+    await beside
+    assert [c for c in vehicle.commands()[before:] if c[0] == ARM] == [(ARM, (0.0, 0.0))]
 
 
 async def test_a_takeoff_that_a_stop_followed_at_once_does_not_end_with_taking_off(ground: Ground) -> None:

@@ -60,9 +60,9 @@ TRIES = 20
 MAX_LOGS = 2000
 """ArduPilot keeps 500 at most, PX4 as many as the card holds; more entries are not kept."""
 
-MAX_CHANGES = 4
+MAX_CHANGES = 100
 """How often the number of logs may change while they are listed. Each time the list begins anew; with two vehicles of
-one id it would never end."""
+one id it would never end. Once is usual (a new log), a few tens if entries of before come late over a second link."""
 
 MAX_LOG_BYTES = (1 << 32) - 1
 
