@@ -366,7 +366,7 @@ class _Sitl:
         how = f"ended by signal {-code}" if code < 0 else f"exited with {code}"
         print(f"skygcs: {process.instance.name} {how}; the end of {process.log}:", file=sys.stderr)
         for line in last_lines(process.log_text()):
-            print(f"  {visible(line)}", file=sys.stderr)
+            print(f"  {visible(line, lines=True)}", file=sys.stderr)
         sys.stderr.flush()
         if all(p.died for p in self._processes.values()):
             self._stop.set()
