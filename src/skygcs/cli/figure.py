@@ -55,7 +55,8 @@ def _write(figure: Figure, file: Path | BytesIO, form: str) -> None:
     from matplotlib import rc_context
     from matplotlib.text import Text
 
-    for text in figure.findobj(Text):  # no formulas (labels of logarithmic axes are some): a name may have two dollar signs
+    # no formulas, but then no logarithmic axes: a file's name, or a vehicle's text, may have two dollar signs
+    for text in figure.findobj(Text):
         text.set_parse_math(False)
     metadata = {"Date": None} if form == "svg" else None
     with rc_context({"svg.hashsalt": "skygcs", "svg.fonttype": "none"}):
