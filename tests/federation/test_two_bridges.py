@@ -16,9 +16,11 @@ import pytest
 
 from skygcs.errors import RpcError
 from skygcs.ext.federation.bridge.process import ONE_BRIDGE
+from skygcs.ext.federation.protocol import bridge_election
 from skygcs.rpc.client import Client
 from support.fake_daemon import FakeDaemon
 from support.federated import Site, site
+from support.hanging import HANG_S
 from support.hub import Hub, until
 from support.process import DaemonProcess, wait_until
 
@@ -90,7 +92,11 @@ async def test_a_bridge_that_stands_by_says_which_one_to_ask_for_a_vehicle(hub: 
                     await gcs.call("federation.take", vehicle="alpha")
 
 
-async def test_a_bridge_that_was_killed_is_back_although_another_stands_by(hub: Hub, tmp_path: Path) -> None:
+async def test_a_bridge_that_was_killed_is_back_although_another_stands_by(
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is back before the other one would take over, however long a busy machine takes to start it."""
+    monkeypatch.setattr(bridge_election, "TAKE_OVER_S", HANG_S)
     table = f'[federation]\nsite = "south"\nservers = ["{hub.url}"]\nnkey = "{hub.key_file("south")}"\n'
     (tmp_path / "first").mkdir()
     with DaemonProcess(tmp_path / "first", table) as first:
