@@ -55,7 +55,7 @@ def path_of(name: str) -> str | None:
 
 
 def missing(target: str) -> dict[str, str]:
-    """What of a target is not there: program or file -> package, sorted by the name of the package."""
+    """The programs of a target that are not there: program or file -> package, sorted by the name of the package."""
     absent = {name: package for name, package in PROGRAMS[target].items() if path_of(name) is None}
     return dict(sorted(absent.items(), key=lambda item: item[1]))
 

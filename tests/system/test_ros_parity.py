@@ -25,7 +25,7 @@ PAGE = (ROOT / "docs" / "reference" / "ros-parity.md").read_text(encoding="utf-8
 ITEM = re.compile(
     r"- (?P<experiment>.*?): (?P<commands>(?:(?: and )?`skygcs[^`]*`)+)(?: → (?P<then>(?:[^`.]|`[^`]*`)*))?\."
 )
-"""What the experiment did, the commands for it, and what shows that they did the same."""
+"""One line of the list: an experiment, the commands for it, and what shows that they did the same."""
 VEHICLES = ("alpha", "bravo", "charlie")
 SHOWN_PATIENCE_S = 90.0
 """How long a vehicle may take to show what it was ordered: most of it is its landing from 3 m."""

@@ -56,7 +56,7 @@ def _put(gcs: Flown, names: list[str], spacing_m: float) -> None:
 
 
 async def _age_p95_s(gcs: Flown, names: list[str]) -> float:
-    """Of the positions, over a few seconds."""
+    """The 95th percentile of the ages of the positions, over a few seconds."""
     ages: list[float] = []
     end = gcs.now + AGES_S
     while gcs.now < end:

@@ -128,7 +128,7 @@ def _inline(inner: Any, path: tuple[str, ...] | None, value: str) -> str:
 
 
 def problem_of(place: Place, value: str, folder: Path) -> str | None:
-    """What is wrong with the answer to this value at this key; None: it was read, or refused as it should be."""
+    """The fault of the answer to this value at this key; None: it was read, or refused as it should be."""
     file = folder / "fleet.toml"
     file.write_text(written(place, value), encoding="utf-8")
     try:

@@ -22,7 +22,7 @@ from support.vehicles import PX4, PX4_LOITER, Voice, flight_dialect
 
 ATTITUDE, VELOCITY, RAW = ControlMode.ATTITUDE, ControlMode.VELOCITY, ControlMode.RAW
 SLOWER = {"vel_p": 0.1, "pos_p_per_s": 0.5, "vel_i": 0.005}
-"""Of the vertical axis: they bear 0.1 s at a hover thrust of 0.3."""
+"""Gains of the vertical axis, which bear 0.1 s at a hover thrust of 0.3."""
 
 
 class Tuned:

@@ -152,7 +152,7 @@ async def test_vehicles_that_are_forgotten_while_they_are_looked_at_leave_nothin
 
 
 async def mission_meets(sky: Sky, vehicle: WatchedVehicle, east_m: float) -> bool:
-    """Whether its mission to a place 50 m above the ground is refused."""
+    """True if its mission to a place 50 m above the ground is refused."""
     lat_deg, lon_deg, _ = vehicle.geodetic_of(east_m, 0.0, 0.0)
     alt_amsl_m = vehicle.geodetic_of(0.0, 0.0, 50.0)[2]
     there = MissionItem.from_params(16, 0, (0.0, 0.0, 0.0, 0.0, lat_deg, lon_deg, alt_amsl_m), True)

@@ -25,7 +25,7 @@ OBSERVER_S = DISTURBANCE_TIME_S
 
 
 def grows(kp: float, lag_s: float, attitude_lag_s: float, assumed_s: float, true_s: float) -> bool:
-    """Whether a nudge grows: Euler steps of 4 ms, a second-order vehicle behind a pure delay."""
+    """True if a nudge grows: Euler steps of 4 ms, a second-order vehicle behind a pure delay."""
     horizon_s = assumed_s
     taps = round(horizon_s / STEP_S)
     ages = (np.arange(taps) + 0.5) * STEP_S
