@@ -43,7 +43,7 @@ def alarms(ctx: typer.Context, json_output: Json = False) -> None:
 def acknowledge(
     numbers: Annotated[
         list[int] | None,
-        typer.Argument(metavar="[NUMBER …]", help="As `alarms` shows them. [default: all]", show_default=False),
+        typer.Argument(metavar="NUMBER …", help="As `alarms` shows them. [default: all]", show_default=False),
     ] = None,
     json_output: Json = False,
 ) -> None:

@@ -44,7 +44,7 @@ def add_to(app: typer.Typer) -> None:
 def calibrate(
     targets: Targets,
     sensor: Annotated[
-        CalibrateSensor | None, typer.Argument(metavar="[SENSOR]", help="gyro, level, compass or accel.")
+        CalibrateSensor | None, typer.Argument(metavar="SENSOR", help="gyro, level, compass or accel.")
     ] = None,
     cancel: Annotated[bool, typer.Option("--cancel", help="End the calibration that runs.")] = False,
     confirm: Annotated[

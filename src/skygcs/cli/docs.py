@@ -29,7 +29,7 @@ _HEADING = re.compile(r"^#{1,6} (.+)$")
 def docs(
     page: Annotated[
         str | None,
-        typer.Argument(metavar="[PAGE]", help="A name as in the list: radio, howto/radio.", show_default=False),
+        typer.Argument(metavar="PAGE", help="A name as in the list: radio, howto/radio.", show_default=False),
     ] = None,
     find: Annotated[
         str | None, typer.Option("--find", metavar="TEXT", help="List the lines of all pages that have this text.")

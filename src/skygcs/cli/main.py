@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import inspect
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -92,9 +93,9 @@ def _command(name: str) -> Any:
 
 
 def literal_help(command: Any) -> Any:
-    """The same command, whose help shows square brackets as they are written: typer reads [federation] as a style of
-    rich, and shows nothing of it."""
-    command.help = _escaped(command.help)
+    """The same command, whose help shows square brackets as they are written (typer reads [federation] as a style of
+    rich, and shows nothing of it), and breaks lines where the terminal ends: typer keeps those of the docstring."""
+    command.help = _escaped(re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.help or "")))
     for option in command.params:
         option.help = _escaped(getattr(option, "help", None))
     for inner in getattr(command, "commands", {}).values():
@@ -168,6 +169,7 @@ class _RootGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except UsageError as error:
+            error.message = error.message.replace("Value error, ", "").replace("Input should", "should")
             error.message += _targets_hint(error) or _program_hint(error)
             if json_is_wanted():
                 fail(error.message)

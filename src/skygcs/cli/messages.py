@@ -38,7 +38,7 @@ def message_line(message: Mapping[str, Any]) -> str:
 def watch_messages(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME …]", help="Names or ids; without: all.", autocompletion=complete_messages),
+        typer.Argument(metavar="NAME …", help="Names or ids; without: all.", autocompletion=complete_messages),
     ] = None,
     targets: Annotated[
         str,
@@ -80,9 +80,7 @@ def watch_messages(
 @messages.command("send", cls=NumbersCommand, context_settings=dict(NUMBERS))
 def send_message(
     name: MessageName,
-    fields: Annotated[
-        list[str] | None, typer.Argument(metavar="[FIELD=VALUE …]", help="Fields not given are 0.")
-    ] = None,
+    fields: Annotated[list[str] | None, typer.Argument(metavar="FIELD=VALUE …", help="Fields not given are 0.")] = None,
     target: Annotated[
         str | None,
         typer.Option(
@@ -203,7 +201,7 @@ def request_message(targets: ComponentTargets, name: MessageName, json_output: J
 
 @messages.command("list")
 def list_messages(
-    part: Annotated[str, typer.Argument(metavar="[PART]", help="Only names that contain PART.")] = "",
+    part: Annotated[str, typer.Argument(metavar="PART", help="Only names that contain PART.")] = "",
     json_output: Json = False,
 ) -> None:
     """List the dialect's messages and their fields.

@@ -79,7 +79,7 @@ Lists = Annotated[
 ]
 OutFile = Annotated[
     Path | None,
-    typer.Argument(metavar="[FILE]", help="Default: printed. A .plan, or one list as WPL.", show_default=False),
+    typer.Argument(metavar="FILE", help="Default: printed. A .plan, or one list as WPL.", show_default=False),
 ]
 InTheWay = Annotated[bool, typer.Option("--force", help="Although another vehicle is in the way.")]
 Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite FILE.")]

@@ -40,7 +40,7 @@ def get(
     targets: Targets,
     logs: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[ID …]", help="As `log list` shows them. [default: the newest]", show_default=False),
+        typer.Argument(metavar="ID …", help="As `log list` shows them. [default: the newest]", show_default=False),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="All logs.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Over a radio, too.")] = False,

@@ -110,7 +110,7 @@ ComponentTargets = Annotated[
     ),
 ]
 OptionalTargets = Annotated[
-    str, typer.Argument(metavar="[TARGETS]", help=f"{_TARGETS}.", autocompletion=complete_targets)
+    str, typer.Argument(metavar="TARGETS", help=f"{_TARGETS}.", autocompletion=complete_targets)
 ]
 OneVehicle = Annotated[
     str,

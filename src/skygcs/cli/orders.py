@@ -40,7 +40,7 @@ Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Try again for 
 Place = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[LAT LON [HEIGHT]]",
+        metavar="LAT LON [HEIGHT]",
         help="Degrees; metres above home, default: its present height.",
         show_default=False,
     ),
@@ -48,7 +48,7 @@ Place = Annotated[
 HomePlace = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[LAT LON [ALT]]",
+        metavar="LAT LON [ALT]",
         help="Degrees; metres above mean sea level, default: the altitude of its present home.",
         show_default=False,
     ),
@@ -148,9 +148,7 @@ def takeoff(
     targets: Targets,
     height: Annotated[
         float | None,
-        typer.Argument(
-            metavar="[HEIGHT]", help="Metres above the ground. [default: from the fleet file]", parser=finite
-        ),
+        typer.Argument(metavar="HEIGHT", help="Metres above the ground. [default: from the fleet file]", parser=finite),
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm first if it is not armed.")] = True,
     force: Annotated[
@@ -360,7 +358,7 @@ def command(
         ),
     ],
     params: Annotated[
-        list[str] | None, typer.Argument(metavar="[PARAM1 … PARAM7]", help="Numbers; nan or -: not set.")
+        list[str] | None, typer.Argument(metavar="PARAM1 … PARAM7", help="Numbers; nan or -: not set.")
     ] = None,
     frame: Annotated[
         str | None, typer.Option("--frame", metavar="MAV_FRAME", help="Send COMMAND_INT, with --x, --y, --z.")

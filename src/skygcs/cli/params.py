@@ -156,7 +156,7 @@ def set_(
 def list_(
     targets: Targets,
     pattern: Annotated[
-        str, typer.Argument(metavar="[PATTERN]", help="Only these: MPC_*, *SYSID*. Quote it for the shell.")
+        str, typer.Argument(metavar="PATTERN", help="Only these: MPC_*, *SYSID*. Quote it for the shell.")
     ] = "*",
     refresh: Refresh = False,
     burst: Burst = False,

@@ -406,7 +406,7 @@ def info(json_output: Json = False) -> None:
 
 def call(
     method: Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_methods, help="Any RPC method.")],
-    params: Annotated[str, typer.Argument(metavar="[JSON]", help="Its parameters, an object.")] = "{}",
+    params: Annotated[str, typer.Argument(metavar="JSON", help="Its parameters, an object.")] = "{}",
     _json: Annotated[bool, typer.Option("--json", help="No effect: the answer is always JSON.")] = False,
 ) -> None:
     """Call any method and print the result as JSON; `discover` lists the methods.

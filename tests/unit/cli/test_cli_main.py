@@ -7,7 +7,9 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -57,6 +59,37 @@ def test_help_shows_a_topic_a_command_or_all() -> None:
         assert [c for c in commands if not any(line.startswith(f"  {c} ") for line in page)] == []
     assert shown("help", "takeoff") == shown("takeoff", "--help")
     assert set(TOPICS).isdisjoint(NAMES)
+
+
+def commands_of(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """A command and all below it, each with the words that name it."""
+    yield path, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands_of(inner, *path, name)
+
+
+def test_a_help_page_breaks_its_lines_at_the_terminal_and_marks_an_argument_once() -> None:
+    every = list(commands_of(typer.main.get_group(app)))
+    assert len(every) > 150
+    broken = [path for path, c in every if any("\n" in part for part in (c.help or "").split("\n\n"))]
+    assert broken == []
+    marked = [
+        (path, p.metavar) for path, c in every for p in c.params if re.fullmatch(r"\[[^]]*\]|\[.*\]\]", p.metavar or "")
+    ]
+    assert marked == []
+
+
+@each(
+    "line, text",
+    [
+        ("stop all kil", "'kil' is not one of 'hold', 'land', 'kill'"),
+        ("link plan 300", "should be less than or equal to 254"),
+        ("takeoff all ten", "'HEIGHT': 'ten' is not a number"),
+    ],
+)
+def test_a_value_that_is_none_is_named_without_words_of_the_parser(line: str, text: str) -> None:
+    shown = " ".join(CliRunner().invoke(app, line.split(), env={"COLUMNS": "200"}).output.split())
+    assert text in shown and "Value error" not in shown and "Input" not in shown
 
 
 def test_the_two_programs_point_to_each_other(capsys: pytest.CaptureFixture[str]) -> None:

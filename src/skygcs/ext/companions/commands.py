@@ -44,7 +44,7 @@ TICK_S = 0.25
 _TARGETS = "Companions: a name, a vehicle's name or system id, 1,3, 2-5, a group, all"
 
 SomeCompanions = Annotated[str, typer.Argument(metavar="TARGETS", help=f"{_TARGETS}.", show_default=False)]
-AllCompanions = Annotated[str, typer.Argument(metavar="[TARGETS]", help=f"{_TARGETS}.")]
+AllCompanions = Annotated[str, typer.Argument(metavar="TARGETS", help=f"{_TARGETS}.")]
 Force = Annotated[bool, typer.Option("--force", help="Although a vehicle is armed or in the air.")]
 
 

@@ -31,7 +31,7 @@ def begin(
     value: Annotated[
         float | None,
         typer.Argument(
-            metavar="[VALUE]", parser=finite, help="Of battery in percent, of wind in m/s; each 8 by default."
+            metavar="VALUE", parser=finite, help="Of battery in percent, of wind in m/s; each 8 by default."
         ),
     ] = None,
     json_output: OrderJson = None,
@@ -47,7 +47,7 @@ def begin(
 def end(
     targets: Targets,
     fault: Annotated[
-        Fault | None, typer.Argument(metavar="[FAULT]", help="Default: all active ones.", show_default=False)
+        Fault | None, typer.Argument(metavar="FAULT", help="Default: all active ones.", show_default=False)
     ] = None,
     json_output: OrderJson = None,
 ) -> None:

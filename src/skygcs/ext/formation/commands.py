@@ -55,7 +55,7 @@ def start(
 
 @app.command("move", cls=NumbersCommand, context_settings=NUMBERS)
 def move(
-    to: Annotated[str | None, typer.Argument(metavar="[X,Y,UP]", help="Metres in the fleet's frame.")] = None,
+    to: Annotated[str | None, typer.Argument(metavar="X,Y,UP", help="Metres in the fleet's frame.")] = None,
     velocity: Annotated[
         str | None, typer.Option("--vel", metavar="X,Y,UP", help="Fly with this velocity instead, in m/s.")
     ] = None,

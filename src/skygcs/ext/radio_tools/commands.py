@@ -122,7 +122,7 @@ def show(
 @radios.command("backup")
 def backup(
     port: PortName,
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Default: stdout.")] = None,
+    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="Default: stdout.")] = None,
     remote: Remote = None,
     baud: Baud = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Overwrite FILE.")] = False,
@@ -334,7 +334,7 @@ async def _change(radio: RadioAtPort, wanted: Wanted) -> Ledger:
 Ports = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[PORT …]", help="Radios to set up now, for the nodes from --node on; without: print the plan."
+        metavar="PORT …", help="Radios to set up now, for the nodes from --node on; without: print the plan."
     ),
 ]
 Nodes = Annotated[

@@ -36,7 +36,7 @@ INTERRUPT = "\x03"
 def shell(
     vehicle: OneVehicle,
     command: Annotated[
-        str | None, typer.Argument(metavar="[COMMAND]", help="One line for its shell; default: typed, or from a pipe.")
+        str | None, typer.Argument(metavar="COMMAND", help="One line for its shell; default: typed, or from a pipe.")
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Although it is not known to be disarmed, or others may execute it, too.")

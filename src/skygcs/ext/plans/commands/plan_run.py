@@ -60,7 +60,7 @@ File = Annotated[
 Vehicles = Annotated[
     str | None,
     typer.Argument(
-        metavar="[TARGETS]",
+        metavar="TARGETS",
         help="Vehicles, in the order of the plan if they have other names there. [default: those of the plan]",
         show_default=False,
     ),

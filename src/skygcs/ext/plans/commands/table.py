@@ -71,7 +71,7 @@ def table(
         ),
     ],
     targets: Annotated[
-        str, typer.Argument(metavar="[TARGETS]", help="Only these vehicles of the table: names with commas, or all.")
+        str, typer.Argument(metavar="TARGETS", help="Only these vehicles of the table: names with commas, or all.")
     ] = "all",
     arrive_m: Annotated[
         float, typer.Option("--arrive", metavar="M", help="A vehicle within this distance has arrived.", parser=finite)
