@@ -303,8 +303,11 @@ def _guarded(command: Callable[[], int | None]) -> int:
     except RpcError as error:
         fail(_token_advice() if error.code == NOT_AUTHENTICATED else _in_commands(error))
         return Exit.USAGE if error.code in USAGE_ERRORS else Exit.FAILED
-    except (SkygcsError, OSError) as error:
+    except SkygcsError as error:
         fail(str(error))
+        return Exit.FAILED
+    except OSError as error:
+        fail(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
         return Exit.FAILED
     except (typer.Exit, typer.BadParameter):
         raise

@@ -23,7 +23,7 @@ from skygcs.cli.process import (
     without_collections,
 )
 from skygcs.cli.topics import OF_SKYGCS, extension_programs, of_skygcs, of_skygcs_cli
-from skygcs.cli.web import add_web
+from skygcs.cli.web import add_web, port_number
 from skygcs.errors import SkygcsError
 from skygcs.terminal_text import visible
 
@@ -232,10 +232,14 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--spacing", type=float, default=10.0, metavar="M", help="between homes, to the east (default 10)"
     )
     sitl.add_argument(
-        "--port", type=int, default=0, metavar="PORT", help="UDP port of the daemon (default: a free one)"
+        "--port", type=port_number, default=0, metavar="PORT", help="UDP port of the daemon (default: a free one)"
     )
     sitl.add_argument(
-        "--second-port", type=int, default=0, metavar="PORT", help="a second link of each vehicle, to this UDP port"
+        "--second-port",
+        type=port_number,
+        default=0,
+        metavar="PORT",
+        help="a second link of each vehicle, to this UDP port",
     )
     sitl.add_argument(
         "--param",

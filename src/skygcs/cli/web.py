@@ -25,6 +25,13 @@ NICE = 5
 """A page that is started beside a daemon leaves it the processor when both want it."""
 
 
+def port_number(text: str) -> int:
+    """The value of an option that is a port; 0: a free one. Raises ArgumentTypeError."""
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a port: a number from 0 to 65535")
+    return int(text)
+
+
 def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The parser of `skygcs web`."""
     web = commands.add_parser(
@@ -41,7 +48,7 @@ def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         help="link: print a further address; sign-out: forget all browsers, as when a phone is lost",
     )
     web.add_argument("--socket", help="the daemon's socket, or tcp://HOST:PORT, instead of the default one")
-    web.add_argument("--port", type=int, help="of the page (default 8750; 0: a free one)")
+    web.add_argument("--port", type=port_number, help="of the page (default 8750; 0: a free one)")
     web.add_argument("--view", action="store_true", help="with link: an address for looking only")
     web.add_argument("--no-open", action="store_true", help="print the address and open no browser")
     web.add_argument("--host", default="127.0.0.1", help="serve on this address of the machine; needs TLS")

@@ -385,7 +385,7 @@ class _MethodNotFound(SkygcsError):
         hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
         table, dot, _ = name[:MAX_ECHO_CHARS].partition(".")
         if dot and table in tables and not any(one.startswith(f"{table}.") for one in known):
-            hint = f"; rpc.discover lists the methods; an extension's need its table in the fleet file, as [{table}]"
+            hint = f"; it needs the table [{table}] in the fleet file"
         super().__init__(f"no method {_clip(name)}{hint}")
 
 

@@ -148,7 +148,8 @@ def note(text: str) -> None:
 
 
 def _no_mavlink(path: Path) -> SkygcsError:
-    return SkygcsError(f"{path}: no MAVLink in it, neither as a tlog nor as a raw capture")
+    fault = "no MAVLink in it, neither as a tlog nor as a raw capture" if path.stat().st_size else "it is empty"
+    return SkygcsError(f"{path}: {fault}")
 
 
 @contextmanager

@@ -45,7 +45,7 @@ class Places:
 
     def note(self, offset: int, what: str = "") -> None:
         self.count += 1
-        if len(self.first) < PLACES:
+        if len(self.first) < PLACES and (offset, what) not in self.first[-1:]:
             self.first.append((offset, what))
 
     def __str__(self) -> str:

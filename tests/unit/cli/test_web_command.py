@@ -21,6 +21,15 @@ def test_a_daemon_on_tcp_is_given_its_token(tmp_path: Path, monkeypatch: pytest.
     assert (options.socket, options.token) == ("tcp://127.0.0.1:7000", "secret")
 
 
+@each("text", ["99999", "-1", "http"])
+def test_a_port_that_is_none_is_a_usage_error(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    add_web(parser.add_subparsers())
+    with pytest.raises(SystemExit):
+        parser.parse_args(["web", f"--port={text}"])
+    assert f"argument --port: '{text}' is not a port: a number from 0 to 65535" in capsys.readouterr().err
+
+
 @each(
     ("terminal", "display", "opens"),
     [

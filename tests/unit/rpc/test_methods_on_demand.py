@@ -159,10 +159,7 @@ async def test_a_method_that_the_extension_does_not_have_is_refused_at_once_afte
 @each(
     ("name", "said"),
     [
-        (
-            "glider.status",
-            "rpc.discover lists the methods; an extension's need its table in the fleet file, as [glider]",
-        ),
+        ("glider.status", "it needs the table [glider] in the fleet file"),
         ("falcon.status", "rpc.discover lists the methods"),
         ("demon.here", "did you mean daemon.here?"),
     ],

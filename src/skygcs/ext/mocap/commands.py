@@ -75,7 +75,7 @@ def record(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON lines; for type recorded of [mocap].")],
     system: Annotated[str, typer.Option("--type", metavar="TYPE", help="vicon, optitrack, qualisys or vrpn.")],
     host: Annotated[str, typer.Option("--host", metavar="HOST", help="The computer with the capture software.")],
-    port: Annotated[int | None, typer.Option("--port", help="If it is not the system's own.")] = None,
+    port: Annotated[int | None, typer.Option("--port", min=1, max=65535, help="If it is not the system's own.")] = None,
     body: Annotated[
         list[str] | None, typer.Option("--body", metavar="NAME", help="Only this rigid body; may be given again.")
     ] = None,

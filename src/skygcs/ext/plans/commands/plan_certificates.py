@@ -100,7 +100,8 @@ def _print_terms(closest: Answer, ratio: float) -> None:
         for name in names
     ]
     rows.append(["sum", *(f"{sum(terms[vehicle].values()):.3f}" for vehicle in vehicles), ""])
-    console().print(table([f"margin, m (height / {ratio:g})", *vehicles, "source"], rows, right=vehicles))
+    columns = [f"margin, m (height / {ratio:g})", *vehicles, "source"]
+    console().print(table(columns, rows, right=vehicles, wrap=("source",)))
 
 
 def _source(closest: Answer, term: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -10,6 +12,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from skygcs.cli.main import app
+from skygcs.ext.plans.commands.plan_certificates import _print_terms
 from support.table import each
 
 GOALS = """vehicle,x,y,z
@@ -32,6 +35,20 @@ def goals(tmp_path: Path) -> str:
 
 def plan(*args: object) -> Result:
     return CliRunner().invoke(app, ["plan", *map(str, args)])
+
+
+def test_the_terms_of_a_margin_are_whole_on_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    measured = "v9 measured over 102 s; v10 measured over 97 s, and the clock measured by 125 exchanges"
+    shown = io.StringIO()
+    closest = {
+        "vehicles": ["v9", "v10"],
+        "terms": {"v9": {"tracking error p99": 0.658}, "v10": {"tracking error p99": 0.659}},
+        "sources": {"v9": {"tracking error p99": measured}, "v10": {"tracking error p99": measured}},
+    }
+    with contextlib.redirect_stdout(shown):
+        _print_terms(closest, 2.0)
+    assert "0.658" in shown.getvalue() and "0.659" in shown.getvalue() and "exchanges" in shown.getvalue()
 
 
 def test_a_plan_is_made_written_and_certified_again(goals: str, tmp_path: Path) -> None:
