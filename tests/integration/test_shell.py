@@ -333,7 +333,7 @@ async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_
 async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addressee(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         await lab.arm(2)
-        with pytest.raises(RpcError, match="v2 is armed"):
+        with pytest.raises(RpcError, match="v2 is armed and on the same link: a shell"):
             await lab.open("v1")
         await lab.disarm(2)
         vehicle = lab.daemon.fleet.vehicles[2 << 8 | 1].vehicle

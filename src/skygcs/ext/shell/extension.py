@@ -284,7 +284,9 @@ class Shell(Extension[ShellConfig]):
             return None
         for model in self._reached(actor):
             if model.not_disarmed is not None:
-                return f"{model.name} {model.not_disarmed}: a shell is for disarmed vehicles; {FORCE_HINT}"
+                own = model.name in (v.name for v in self.core.fleet.vehicles_of(actor.sysid))
+                why = f"{model.name} {model.not_disarmed}{'' if own else ' and on the same link'}"
+                return f"{why}: a shell is for disarmed vehicles; {FORCE_HINT}"
         if hearing:
             names = ", ".join(f"{one.name} (PX4 {one.firmware or 'of unknown version'})" for one in hearing)
             return f"on the same link {names} may execute what is typed for {actor.name}, too; {FORCE_HINT}"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner, Result
 
 from skygcs.cli.main import app
@@ -38,16 +38,15 @@ def plan(*args: object) -> Result:
 
 
 def test_the_terms_of_a_margin_are_whole_on_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
     measured = "v9 measured over 102 s; v10 measured over 97 s, and the clock measured by 125 exchanges"
     shown = io.StringIO()
+    monkeypatch.setattr("skygcs.ext.plans.commands.plan_certificates.console", lambda: Console(file=shown, width=80))
     closest = {
         "vehicles": ["v9", "v10"],
         "terms": {"v9": {"tracking error p99": 0.658}, "v10": {"tracking error p99": 0.659}},
         "sources": {"v9": {"tracking error p99": measured}, "v10": {"tracking error p99": measured}},
     }
-    with contextlib.redirect_stdout(shown):
-        _print_terms(closest, 2.0)
+    _print_terms(closest, 2.0)
     assert "0.658" in shown.getvalue() and "0.659" in shown.getvalue() and "exchanges" in shown.getvalue()
 
 
