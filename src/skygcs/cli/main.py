@@ -183,7 +183,8 @@ class _RootGroup(TyperGroup):
         """The arguments that `help` stands for; the page of a topic is printed here."""
         if asked and asked[0] not in self.commands and asked[0] in (topics := all_topics()):
             commands = topics[asked[0]][1]
-            say(topic_page(asked[0], {name: self.commands[name].get_short_help_str(500) for name in commands}))
+            short = {name: self.commands[name].get_short_help_str(500).replace("\\[", "[") for name in commands}
+            say(topic_page(asked[0], short))
             raise typer.Exit
         return [*asked, "--help"]
 

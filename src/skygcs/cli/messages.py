@@ -53,7 +53,9 @@ def watch_messages(
         float | None,
         typer.Option("--rate", metavar="HZ", help="Per second, of each name and source, at most.", parser=finite),
     ] = None,
-    count: Annotated[int, typer.Option("--count", metavar="N", help="End after N messages.", min=1)] = sys.maxsize,
+    count: Annotated[
+        int, typer.Option("--count", metavar="N", help="End after N messages.", min=1, show_default=False)
+    ] = sys.maxsize,
     json_output: Json = False,
 ) -> None:
     """Print messages as they arrive, until Ctrl-C.

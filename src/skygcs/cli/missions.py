@@ -446,7 +446,9 @@ def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None
 @missions.command("watch")
 def _watch(
     targets: OptionalTargets = "all",
-    count: Annotated[int, typer.Option("--count", metavar="N", help="End after N events.", min=1)] = sys.maxsize,
+    count: Annotated[
+        int, typer.Option("--count", metavar="N", help="End after N events.", min=1, show_default=False)
+    ] = sys.maxsize,
     json_output: Json = False,
 ) -> None:
     """Follow missions and transfers: the status, then every item reached, until Ctrl-C.

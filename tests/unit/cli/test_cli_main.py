@@ -77,6 +77,8 @@ def test_a_help_page_breaks_its_lines_at_the_terminal_and_marks_an_argument_once
         (path, p.metavar) for path, c in every for p in c.params if re.fullmatch(r"\[[^]]*\]|\[.*\]\]", p.metavar or "")
     ]
     assert marked == []
+    endless = [path for path, c in every for p in c.params if p.default == sys.maxsize and p.show_default]
+    assert endless == []
 
 
 @each(
@@ -129,6 +131,8 @@ def test_help_shows_square_brackets_as_they_are_written() -> None:
 
     assert "with [federation] those of all sites" in text("status")
     assert "[default: unchanged]" in text("origin", "set")
+    look = CliRunner().invoke(app, ["help", "look"]).output
+    assert "with [federation]" in " ".join(look.split()) and "\\" not in look
 
 
 HEAVY = ("numpy", "matplotlib", "pydantic", "serial", "pymavlink", "pyarrow", "uvloop", "skygcs.config.models")
