@@ -24,6 +24,7 @@ SkygcsError                  base; str() is one line for a person, never a trace
 
 from __future__ import annotations
 
+import errno
 from typing import Any
 
 
@@ -173,3 +174,22 @@ class DaemonForbidden(DaemonUnreachable):
             f"the socket {address} belongs to {owner}, and no other user may use it; run this as {owner} "
             f"(sudo -u {owner} …), or run a daemon of your own and name its socket (--socket)",
         )
+
+
+def explain_address_error(error: OSError, host: str, port: int) -> str:
+    """One line for the user: why a bind or connect failed, and what to do."""
+    match error.errno:
+        case errno.EADDRINUSE:
+            return f"port {port} is in use by another program; stop that one or choose another port"
+        case errno.EADDRNOTAVAIL:
+            return f"this machine has no address {host}; take 0.0.0.0 for all it has, or bring the network up"
+        case errno.EACCES | errno.EPERM:
+            return f"not permitted to use {host} port {port}; ports below 1024 need root"
+        case errno.ECONNREFUSED:
+            return "connection refused: no program listens there (yet)"
+        case errno.EHOSTUNREACH | errno.ENETUNREACH:
+            return "no route to it: is the network up?"
+        case errno.EMFILE | errno.ENFILE:
+            return "too many open files: raise the limit (ulimit -n)"
+        case _:
+            return (error.strerror or str(error)).lower()

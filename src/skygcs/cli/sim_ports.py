@@ -21,7 +21,7 @@ from skygcs.cli.serial_ports import port_rate, set_port_rate
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.errors import LinkError
+from skygcs.errors import LinkError, explain_address_error
 from skygcs.sim.ground_radio import GroundRadio
 from skygcs.sim.radio_fleet import RadioFleet
 from skygcs.sim.radio_status import SimRadio
@@ -155,7 +155,7 @@ class TcpPort(SimPort):
         try:
             self._server = await loop.create_server(lambda: _TcpConnection(self), host, port)
         except OSError as error:
-            raise LinkError(f"tcp {host}:{port}: {error.strerror or error}") from None
+            raise LinkError(f"tcp {host}:{port}: {explain_address_error(error, host, port)}") from None
         return f"tcp on {host}:{self._server.sockets[0].getsockname()[1]}"
 
     def close(self) -> None:

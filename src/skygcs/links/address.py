@@ -1,9 +1,8 @@
-"""Internet addresses: names to socket addresses and back, and socket errors as texts that say what to do."""
+"""Internet addresses: names to socket addresses and back."""
 
 from __future__ import annotations
 
 import asyncio
-import errno
 import socket
 from typing import Any
 
@@ -44,22 +43,3 @@ def format_address(address: Address) -> str:
 def format_host(address: Address) -> str:
     """The address without its port; an IPv4 peer of an IPv6 socket is shown as IPv4."""
     return str(address[0]).removeprefix(_IPV4_MAPPED)
-
-
-def explain(error: OSError, host: str, port: int) -> str:
-    """One line for the user: why a bind or connect failed, and what to do."""
-    match error.errno:
-        case errno.EADDRINUSE:
-            return f"port {port} is in use by another program; stop that one or choose another port"
-        case errno.EADDRNOTAVAIL:
-            return f"this machine has no address {host}; take 0.0.0.0 for all it has, or bring the network up"
-        case errno.EACCES | errno.EPERM:
-            return f"not permitted to use {host} port {port}; ports below 1024 need root"
-        case errno.ECONNREFUSED:
-            return "connection refused: no program listens there (yet)"
-        case errno.EHOSTUNREACH | errno.ENETUNREACH:
-            return "no route to it: is the network up?"
-        case errno.EMFILE | errno.ENFILE:
-            return "too many open files: raise the limit (ulimit -n)"
-        case _:
-            return (error.strerror or str(error)).lower()

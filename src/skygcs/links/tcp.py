@@ -12,8 +12,8 @@ from typing import Any
 from skygcs.config import models
 from skygcs.core.routing.peer_places import Peer
 from skygcs.descriptors import is_of_the_last
-from skygcs.errors import LinkError
-from skygcs.links.address import Address, explain, format_address, format_host, resolve
+from skygcs.errors import LinkError, explain_address_error
+from skygcs.links.address import Address, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.stream import DescriptorWatcher, StreamChannel, WriteLimits
@@ -97,7 +97,7 @@ class TcpServerLink(Link):
         except BaseException as error:
             await self.close()
             if isinstance(error, OSError):
-                reason = explain(error, config.host, config.port)
+                reason = explain_address_error(error, config.host, config.port)
                 raise LinkError(f"tcp_server {config.host}:{config.port}: {reason}") from None
             raise
 
@@ -155,7 +155,7 @@ class TcpServerLink(Link):
                 if error.errno in _OUT_OF_RESOURCES:
                     self._pause_accepting()
                 elif listener in self._listeners:
-                    reason = explain(error, self.config.host, self.config.port)
+                    reason = explain_address_error(error, self.config.host, self.config.port)
                     self.fail(f"tcp_server {self.config.host}:{self.config.port}: {reason}")
                 return
             if is_of_the_last(sock.fileno()):
@@ -295,7 +295,7 @@ class TcpClientLink(Link):
                 reason = f"no answer within {CONNECT_TIMEOUT_S:g} s"
                 sock.close()
             except OSError as error:
-                reason = explain(error, host, port)
+                reason = explain_address_error(error, host, port)
                 sock.close()
             except BaseException:
                 sock.close()

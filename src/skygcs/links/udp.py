@@ -25,9 +25,9 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.garbage import GarbageGauge
 from skygcs.core.routing.peer_places import Peer
-from skygcs.errors import LinkError
+from skygcs.errors import LinkError, explain_address_error
 from skygcs.events import Event
-from skygcs.links.address import Address, explain, format_address, format_host, resolve
+from skygcs.links.address import Address, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost
 from skygcs.links.fast_path import new_fast_path, new_out
@@ -246,7 +246,7 @@ class UdpLink(Link):
         """The channel for a datagram from an unknown address, None to pass it over."""
 
     def _explain(self, error: OSError) -> str:
-        return explain(error, self.config.host, self.config.port)
+        return explain_address_error(error, self.config.host, self.config.port)
 
     def _on_readable(self) -> None:
         """HOT: from datagram to host without allocation but the frames, without a log line, without an await."""
@@ -487,7 +487,7 @@ class UdpClientLink(UdpLink):
         return None
 
     def _explain(self, error: OSError) -> str:
-        return explain(error, "0.0.0.0", self.config.local_port)
+        return explain_address_error(error, "0.0.0.0", self.config.local_port)
 
 
 class UdpBroadcastLink(UdpLink):
@@ -561,4 +561,4 @@ class UdpBroadcastLink(UdpLink):
             return bool(probe.getsockname()[0] == address[0])
 
     def _explain(self, error: OSError) -> str:
-        return explain(error, "0.0.0.0", self.config.local_port)
+        return explain_address_error(error, "0.0.0.0", self.config.local_port)

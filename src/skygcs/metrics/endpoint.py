@@ -18,7 +18,7 @@ import structlog
 from skygcs.config.allow_list import allow_list
 from skygcs.config.metrics import MetricsConfig
 from skygcs.descriptors import is_of_the_last
-from skygcs.errors import LinkError
+from skygcs.errors import LinkError, explain_address_error
 
 MAX_CONNECTIONS = 8
 """Scrapers at one time; a further connection is closed at once."""
@@ -81,7 +81,9 @@ class MetricsEndpoint:
             listener.setblocking(False)
         except OSError as error:
             listener.close()
-            raise LinkError(f"{self._table}: cannot listen on {host}:{port}: {error.strerror or error}") from None
+            raise LinkError(
+                f"{self._table}: cannot listen on {host}:{port}: {explain_address_error(error, host, port)}"
+            ) from None
         self._listener = listener
         self.address = listener.getsockname()[:2]
 

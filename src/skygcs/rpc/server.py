@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from skygcs.errors import LinkError
+from skygcs.errors import LinkError, explain_address_error
 from skygcs.rpc.unix_socket import UnixSocket
 
 if TYPE_CHECKING:  # pydantic and its models are heavy: see above
@@ -176,7 +176,8 @@ class RpcServer:
         try:
             server = await asyncio.get_running_loop().create_server(new_session, sock=listener, backlog=BACKLOG)
         except OSError as error:  # two had bound it: the second to listen gets the error
-            raise LinkError(f"cannot listen on 127.0.0.1:{address[1]}: {error.strerror or error}") from None
+            why = explain_address_error(error, *address)
+            raise LinkError(f"cannot listen on 127.0.0.1:{address[1]}: {why}") from None
         self._tcp_listener = None  # the server's now
         self._servers.append(server)
         self.tcp_address = address
@@ -227,5 +228,6 @@ def _bound_tcp(port: int) -> socket.socket:
         listener.setblocking(False)
     except OSError as error:
         listener.close()
-        raise LinkError(f"cannot listen on 127.0.0.1:{port}: {error.strerror or error}") from None
+        why = explain_address_error(error, "127.0.0.1", port)
+        raise LinkError(f"cannot listen on 127.0.0.1:{port}: {why}") from None
     return listener

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import socket
 from pathlib import Path
 
 import pytest
 
 from skygcs.cli.sim import parse_radio, run_sim
-from skygcs.cli.sim_ports import DRIVER_BYTES, PtyPort, SimClock
+from skygcs.cli.sim_ports import DRIVER_BYTES, PtyPort, SimClock, TcpPort
 from skygcs.config.dialects import load_dialect
 from skygcs.config.radio import EmulatedRadio
 from skygcs.core.mavlink.frame import encode
@@ -69,3 +70,13 @@ async def test_the_port_is_the_grounds_radio_and_takes_no_more_than_a_serial_lin
     finally:
         os.close(fd)
         port.close()
+
+
+async def test_a_tcp_port_that_another_has_is_told_with_what_to_do() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        host, port = taken.getsockname()
+        vehicles = TcpPort([], load_dialect("ardupilotmega"), SimClock(1.0), (host, port))
+        with pytest.raises(
+            LinkError, match=f"tcp {host}:{port}: port {port} is in use by another program"
+        ):
+            await vehicles.open()

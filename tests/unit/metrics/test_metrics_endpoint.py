@@ -149,7 +149,9 @@ async def test_an_address_that_is_taken_and_a_missing_library_are_one_line(monke
     with socket.create_server(("127.0.0.1", 0)) as taken:
         config = MetricsConfig(port=taken.getsockname()[1])
         endpoint = MetricsEndpoint(config, None, lambda: 0.0)
-        with pytest.raises(LinkError, match=r"\[metrics\]: cannot listen on 127.0.0.1:\d+: Address already in use"):
+        with pytest.raises(
+            LinkError, match=r"\[metrics\]: cannot listen on 127.0.0.1:\d+: port \d+ is in use by another program"
+        ):
             endpoint.claim()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(LinkError, match=r"pip install 'skygcs\[metrics\]'"):

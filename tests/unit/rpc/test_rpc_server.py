@@ -444,7 +444,9 @@ async def test_a_tcp_port_that_another_has_is_told_before_anything_is_begun(benc
     assert bench.server.tcp_address is not None
     port = bench.server.tcp_address[1]
     late = RpcServer(FakeDaemon(), tmp_path / "other.sock", tcp_port=port, token="open sesame")
-    with pytest.raises(LinkError, match=f"cannot listen on 127.0.0.1:{port}"):
+    with pytest.raises(
+        LinkError, match=f"cannot listen on 127.0.0.1:{port}: port {port} is in use by another program; stop"
+    ):
         late.claim()
     await bench.server.close()
     await late.start()

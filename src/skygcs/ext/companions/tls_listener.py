@@ -25,10 +25,10 @@ import structlog
 from skygcs.cancellation import ended
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.descriptors import is_of_the_last
-from skygcs.errors import LinkError, SkygcsError
+from skygcs.errors import LinkError, SkygcsError, explain_address_error
 from skygcs.events import Event
 from skygcs.ext.companions.tls import HANDSHAKE_S, SHUTDOWN_S, Identity, PinnedTls
-from skygcs.links.address import explain, format_address, resolve
+from skygcs.links.address import format_address, resolve
 
 if TYPE_CHECKING:
     from skygcs.rpc.context import NewSession
@@ -132,7 +132,7 @@ class TlsListener:
             try:
                 await self._accept(listener, new_session)
             except OSError as error:  # the network interface has gone
-                self._report(explain(error, self._host, self._port))
+                self._report(explain_address_error(error, self._host, self._port))
             finally:
                 self.address = None
                 listener.close()
@@ -159,7 +159,7 @@ class TlsListener:
             listener.setblocking(False)
         except OSError as error:
             listener.close()
-            raise LinkError(f"companion.rpc_listen: {explain(error, self._host, self._port)}") from None
+            raise LinkError(f"companion.rpc_listen: {explain_address_error(error, self._host, self._port)}") from None
         self.address = listener.getsockname()[:2]
         return listener
 

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from skygcs.config.files import open_regular
 from skygcs.core.token_bucket import TokenBucket
-from skygcs.errors import LinkError
+from skygcs.errors import LinkError, explain_address_error
 from skygcs.ext.corrections.config import CorrectionsConfig
 from skygcs.ext.corrections.gga import GgaPosition, gga_sentence
 from skygcs.ext.corrections.ntrip import NtripAnswer, request
-from skygcs.links.address import explain
 
 if TYPE_CHECKING:
     import ssl
@@ -245,4 +244,4 @@ def _why(error: OSError | UnicodeError, host: str, port: int, *, tls: bool) -> s
 
     if isinstance(error, socket.gaierror):
         return f"{host}: the name has no address ({str(error.strerror).lower()}); check spelling and network"
-    return explain(error, host, port)
+    return explain_address_error(error, host, port)
