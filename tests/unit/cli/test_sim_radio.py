@@ -76,7 +76,5 @@ async def test_a_tcp_port_that_another_has_is_told_with_what_to_do() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         host, port = taken.getsockname()
         vehicles = TcpPort([], load_dialect("ardupilotmega"), SimClock(1.0), (host, port))
-        with pytest.raises(
-            LinkError, match=f"tcp {host}:{port}: port {port} is in use by another program"
-        ):
+        with pytest.raises(LinkError, match=f"tcp {host}:{port}: port {port} is in use by another program"):
             await vehicles.open()
