@@ -30,6 +30,9 @@ from skygcs.terminal_text import visible
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
 
+HOME = "43.7806,-79.4653,180"
+"""Where simulated vehicles stand unless `--home` says otherwise: latitude, longitude, metres above sea level."""
+
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of `skygcs`. Exits 0 done, 1 failed (one line on stderr says why), 2 usage."""
@@ -165,7 +168,7 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     sim.add_argument("--px4-plane", type=int, default=0, metavar="N", help="number of PX4 planes (default 0)")
     sim.add_argument("--ardupilot-plane", type=int, default=0, metavar="N", help="number of ArduPlanes (default 0)")
     sim.add_argument("--rover", type=int, default=0, metavar="N", help="number of ArduPilot rovers (default 0)")
-    sim.add_argument("--first-sysid", type=int, default=1, metavar="ID")
+    sim.add_argument("--first-sysid", type=int, default=1, metavar="ID", help="ids from this one on (default 1)")
     # how the vehicles are reached
     where = sim.add_mutually_exclusive_group()
     where.add_argument("--udp", metavar="HOST:PORT", help="send to this address (default 127.0.0.1:14550)")
@@ -183,9 +186,9 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     sim.add_argument("--separate-ports", action="store_true", help="with --udp: one socket per vehicle")
     # where they are, and how they fly
-    sim.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL")
-    sim.add_argument("--seed", type=int, default=1)
-    sim.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second")
+    sim.add_argument("--home", default=HOME, metavar="LAT,LON,AMSL", help=f"their position (default {HOME})")
+    sim.add_argument("--seed", type=int, default=1, help="of noise and losses (default 1)")
+    sim.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second, at most 100")
     sim.add_argument(
         "--dynamics", choices=("rigid", "kinematic"), default="rigid", help="kinematic: exact, without wind, cheaper"
     )
@@ -226,8 +229,10 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sitl.add_argument("--ardupilot-plane", type=int, default=0, metavar="N", help="number of ArduPlanes")
     sitl.add_argument("--quadplane", type=int, default=0, metavar="N", help="number of ArduPlanes with rotors")
     sitl.add_argument("--rover", type=int, default=0, metavar="N", help="number of ArduPilot rovers")
-    sitl.add_argument("--first-sysid", type=int, default=1, metavar="ID")
-    sitl.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL[,HEADING]")
+    sitl.add_argument("--first-sysid", type=int, default=1, metavar="ID", help="ids from this one on (default 1)")
+    sitl.add_argument(
+        "--home", default=HOME, metavar="LAT,LON,AMSL[,HEADING]", help=f"position of the first (default {HOME})"
+    )
     sitl.add_argument(
         "--spacing", type=float, default=10.0, metavar="M", help="between homes, to the east (default 10)"
     )
@@ -252,7 +257,7 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--params", action="append", type=Path, default=[], metavar="FILE", help="a parameter file; may be repeated"
     )
     sitl.add_argument("--folder", type=Path, help="working folders, kept; default: temporary ones")
-    sitl.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second")
+    sitl.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second, 0.1 to 20")
     sitl.set_defaults(run=_sitl)
 
 

@@ -55,8 +55,8 @@ def add_web(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     web.add_argument(
         "--name", action="append", default=[], metavar="NAME", help="with --host: a name that browsers use"
     )
-    web.add_argument("--tls-cert", type=Path, metavar="FILE")
-    web.add_argument("--tls-key", type=Path, metavar="FILE")
+    web.add_argument("--tls-cert", type=Path, metavar="FILE", help="certificate, PEM; with --host")
+    web.add_argument("--tls-key", type=Path, metavar="FILE", help="its private key, PEM")
     web.add_argument("--map", type=Path, metavar="IMAGE", help="an image beneath the fleet view, with two --map-point")
     web.add_argument("--map-point", action="append", default=[], metavar="X,Y,LAT,LON", help="pixel and place of it")
     web.add_argument(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import json
 import re
@@ -18,6 +19,7 @@ from typer.testing import CliRunner
 
 from skygcs.cli.main import COMMANDS, app, command_name
 from skygcs.cli.serve import main as serve
+from skygcs.cli.serve import new_parser
 from skygcs.cli.topics import OF_SKYGCS, TOPICS, all_topics, extension_commands
 from support.table import each
 
@@ -79,6 +81,18 @@ def test_a_help_page_breaks_its_lines_at_the_terminal_and_marks_an_argument_once
     assert marked == []
     endless = [path for path, c in every for p in c.params if p.default == sys.maxsize and p.show_default]
     assert endless == []
+
+
+def test_every_option_of_skygcs_says_what_it_does() -> None:
+    def silent(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for inner in action.choices.values():
+                    yield from silent(inner)
+            elif action.option_strings and not action.help:
+                yield parser.prog, action.option_strings[-1]
+
+    assert list(silent(new_parser())) == []
 
 
 @each(
