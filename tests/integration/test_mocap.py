@@ -345,7 +345,7 @@ async def test_a_daemon_without_mocap_says_so(tmp_path: Path) -> None:
     reply = Dispatcher(table, on_demand).start(SimpleNamespace(services=daemon), request)
     assert isinstance(reply, Coroutine)
     error = json.loads(await reply)["error"]
-    assert error["code"] == METHOD_NOT_FOUND and "table in the fleet file, as [mocap]" in error["message"]
+    assert error["code"] == METHOD_NOT_FOUND and "it needs the table [mocap] in the fleet file" in error["message"]
 
 
 async def in_the_air(gcs: Lab, link: str = "alpha") -> SimVehicle:
