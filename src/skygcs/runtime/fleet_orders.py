@@ -324,7 +324,7 @@ class FleetOrders:
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
                     # if one was refused, or waits for the end of a newer order, each gets its own frame
-                    behind = any(vehicle.runner.is_behind(given.serial) for vehicle in vehicles)
+                    behind = any(vehicle.runner.ledger.is_behind(given.serial) for vehicle in vehicles)
                     if not behind and not any(task.done() for task in tasks.values()):
                         self._broadcast(broadcast)
         finally:

@@ -192,7 +192,7 @@ class SeparationMonitor:
     def arriving(self, actor: VehicleActor, *, ok: bool) -> None:
         """The order of `sent_to` has ended: it flies there, or does not."""
         known = self._destinations.pop(actor.vehicle.key, None)
-        if ok and known is not None and actor.runner.effective <= known.order_number:
+        if ok and known is not None and actor.runner.ledger.effective <= known.order_number:
             self._destinations[actor.vehicle.key] = known._replace(mode=actor.vehicle.mode)
 
     def goto_refusal(self, vehicle: Vehicle, to: Place, together: frozenset[int]) -> str | None:
@@ -375,7 +375,7 @@ class SeparationMonitor:
             return None
         if known.mode is None:
             return known.place
-        if actor.runner.effective > known.order_number or actor.vehicle.mode != known.mode:
+        if actor.runner.ledger.effective > known.order_number or actor.vehicle.mode != known.mode:
             del self._destinations[key]
             return None
         return known.place

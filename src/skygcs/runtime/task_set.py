@@ -56,7 +56,7 @@ class Asked(NamedTuple):
     custom_mode: int | None = None
     """None: an order of ours was changing it, or a take-off was under way."""
     number: int = 0
-    """`OrderRunner.number` then."""
+    """`OrderLedger.number` then."""
 
 
 async def numbered(work: Coroutine[Any, Any, T], new: Callable[[], int] = ask) -> T:

@@ -198,7 +198,7 @@ class VehicleActor:
     def order_number(self) -> int:
         """Counts the orders that moved it, from the time (ms) at which this actor began: the numbers of a daemon that
         ran before name no order of this one."""
-        return self.runner.number
+        return self.runner.ledger.number
 
     @property
     def closed(self) -> bool:

@@ -1133,10 +1133,10 @@ async def test_each_order_has_a_number_of_when_it_was_asked_for_and_a_hold_of_th
     vehicle.script = accept_everything
     tasks = TaskSet(ground.loop, ground.events.append)
     before = ask()
-    assert (await actor.land()).ok and actor.runner.effective_serial > before, "it gets one at the gate"
+    assert (await actor.land()).ok and actor.runner.ledger.effective_serial > before, "it gets one at the gate"
     assert ORDER_SERIAL.get() is None, "and its caller keeps none"
-    newest = actor.runner.effective_serial
-    assert (await tasks.start(actor.hold(), "hold", OWN)).ok and actor.runner.effective_serial == newest
+    newest = actor.runner.ledger.effective_serial
+    assert (await tasks.start(actor.hold(), "hold", OWN)).ok and actor.runner.ledger.effective_serial == newest
     late = await tasks.start(actor.rtl(), "rtl", before)
     assert late.result == "refused" and "a newer order" in late.message, "what waited since then comes too late"
     assert (await tasks.start(actor.stop("hold"), "stop", before)).ok, "but a stop"
