@@ -285,7 +285,7 @@ class Daemon:
         if flown:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PARK_S):
-                    await self.fleet.orders.command_all(flown, VehicleActor.hold)
+                    await self.fleet.orders.command_all(flown, VehicleActor.hold, by_person=False)
 
     async def reload(self, config: FleetConfig) -> list[str]:
         """Apply another version of the fleet file: links that differ are closed, changed or opened, all others go on.

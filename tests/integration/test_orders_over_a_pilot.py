@@ -69,6 +69,27 @@ async def test_a_step_that_follows_is_not_sent_to_him(tmp_path: Path) -> None:
         assert "mode AUTO: refused: it was switched to LOITER since" in outcome["message"]
 
 
+@each(("by_person", "ends_in"), [(True, "GUIDED"), (False, "LOITER")])
+async def test_a_hold_of_our_own_is_not_repeated_to_him(tmp_path: Path, by_person: bool, ends_in: str) -> None:
+    """Of the watch for the unattended, as control was ended: it took the vehicle back from its pilot."""
+    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+        await gcs.fly("velocity")
+        await asyncio.sleep(5.0)
+        gcs.loses, since = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}), gcs.now
+        if by_person:
+            ordered = asyncio.create_task(gcs.outcome("vehicles.hold"))
+        else:
+            gcs.actor().offboard.release("a test ends it")
+        await gcs.until(lambda: [s for s in gcs.sent if s.values.get("command") == 176 and s.at > since], 5.0)
+        gcs.other_sets_mode(CopterMode.LOITER)
+        await gcs.until(lambda: gcs.actor().vehicle.mode == "LOITER", 3.0)
+        gcs.loses = frozenset()
+        await asyncio.sleep(8.0)
+        assert gcs.actor().vehicle.mode == ends_in
+        if by_person:
+            assert (await ordered)["ok"]
+
+
 @each(
     ("first", "heard", "pilot", "ends_in"),
     [

@@ -28,7 +28,7 @@ from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.returns import Returns, Waiting, read_return_height
 from skygcs.runtime.separation_monitor import SeparationMonitor
-from skygcs.runtime.task_set import ORDER_SERIAL, Asked, TaskSet, ask
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
 
@@ -112,6 +112,7 @@ class Given:
     order: Order
     serial: int
     reports: Reports
+    by_person: bool
     outcomes: dict[str, Any] = field(default_factory=dict)
     ended_by: str = "the client that gave it is gone"
     """Why it ends, if it is cancelled."""
@@ -179,6 +180,7 @@ class FleetOrders:
         /,
         *args: Any,
         reports: Reports | None = None,
+        by_person: bool = True,
         **arguments: Any,
     ) -> dict[str, Outcome]:
         """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
@@ -187,7 +189,8 @@ class FleetOrders:
         vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
         cancelled, the orders of `CARRIED_ON` go on, all others end; `close` ends those with an answer. Raises
         RefusedError for a stop, or a disarming of a duplicate system id, without the confirmation it needs
-        (``confirm``, see `core.vehicle.stop`). ``reports`` gets each vehicle's outcome when it comes.
+        (``confirm``, see `core.vehicle.stop`). ``reports`` gets each vehicle's outcome when it comes. ``by_person``:
+        False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends.
         """
         name = order.__name__
         if self.ends_only and order not in CARRIED_ON:
@@ -200,7 +203,9 @@ class FleetOrders:
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         if order in CARRIED_ON:
             self._turns.taken(actors, name)
-        given = Given(order, ask(), reports or Unreported())  # here: what is carried on begins a turn of the loop later
+        given = Given(
+            order, ask(), reports or Unreported(), by_person
+        )  # here: what is carried on begins a turn of the loop later
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await self._command(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)
@@ -346,6 +351,7 @@ class FleetOrders:
         run as a task of its own; a newer order may have been sent between its making and its start."""
         order = given.order
         ORDER_SERIAL.set(given.serial)
+        ASKED_NOW.set(given.by_person)
         if isinstance(actor, VehicleActor):
             late = self._late(order, {actor: Asked(given.serial)})
             if actor in late:

@@ -31,7 +31,7 @@ from skygcs.errors import NotReadyError, RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import EVERYWHERE, LATE_ACK_S, SUPERSEDED, CommandClient, Moves
 from skygcs.runtime.flight_elsewhere import FlownBySetpoints
-from skygcs.runtime.task_set import ORDER_SERIAL, OWN, Asked, ask, numbered
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, OWN, Asked, ask, numbered
 
 MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
@@ -77,7 +77,7 @@ Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
 class _PlanInProgress:
     """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
 
-    __slots__ = ("clearance", "end_requested", "number", "plan", "queue", "step", "were_in")
+    __slots__ = ("asked_now", "clearance", "end_requested", "number", "plan", "queue", "step", "were_in")
 
     def __init__(self, plan: Plan, number: int, clearance: Clearance, were_in: Hands) -> None:
         self.plan = plan
@@ -87,6 +87,8 @@ class _PlanInProgress:
         """Number of the newest order at its start; if that has changed, a newer order moves the vehicle."""
         self.were_in = were_in
         """Whose hands the vehicle was in when the plan began: a pilot that takes it later keeps it."""
+        self.asked_now = ASKED_NOW.get()
+        """A person gives this order; noted here, as the conditions of its commands are looked at by timers, too."""
         self.queue = list(plan.steps)
         self.step: Step | None = None
         self.end_requested = False
@@ -183,9 +185,9 @@ class OrderRunner:
     def _hands(self) -> Hands:
         return hands(self._vehicle, self._loop.time())
 
-    def _taken(self, plan: Plan, before: Hands) -> str | None:
+    def _taken(self, plan: Plan, before: Hands, *, asked_now: bool) -> str | None:
         """Why a plan is left to the pilot of a vehicle that was in the hands ``before`` when it began; None: it is
-        sent. One that ends the flight always is."""
+        sent. One that ends the flight always is if a person gives it (``asked_now``)."""
         if self._vehicle.mode in plan.spares:
             return f"it is in {self._vehicle.mode}"
         if (
@@ -193,9 +195,12 @@ class OrderRunner:
             and (why := disarmed_since(self._vehicle, before.at)) is not None
         ):
             return why
-        if plan.order not in MOVING or plan.order in EVERYWHERE or plan.emergency or plan.final:
+        if plan.order not in MOVING or plan.emergency or plan.final or (plan.order in EVERYWHERE and asked_now):
             return None
         return self._pilot_since(before)
+
+    def _taken_in(self, run: _PlanInProgress) -> str | None:
+        return self._taken(run.plan, run.were_in, asked_now=run.asked_now)
 
     def _pilot_since(self, before: Hands) -> str | None:
         """`taken_since`; a mode that the vehicle has accepted from us and that shows late is not its pilot's."""
@@ -284,7 +289,9 @@ class OrderRunner:
         try:
             plan = planner(self._loop.time())
             if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
-                if (why := await self.late(plan.order) or self._taken(plan, before)) is not None:
+                if (
+                    why := await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
+                ) is not None:
                     return Outcome.refused(why)
                 plan = planner(self._loop.time())
         except NotReadyError as error:
@@ -509,7 +516,7 @@ class OrderRunner:
             return duplicate_refusal(self._vehicle)
         if (why := self._order_refusal(plan)) is not None:
             return Outcome.refused(why)
-        if (why := self._taken(plan, run.were_in)) is not None:
+        if (why := self._taken_in(run)) is not None:
             return Outcome.refused(why)
         if step.message is not None:
             return await self._message_step(step, run)
@@ -546,7 +553,7 @@ class OrderRunner:
         plan, number, mode_changes = run.plan, run.number, self._vehicle.mode_changes
 
         def taken() -> str | None:
-            return self._taken(plan, run.were_in)
+            return self._taken_in(run)
 
         def armed() -> bool:
             return arms(spec) and self._armed_since(run.were_in.at)
@@ -642,7 +649,7 @@ class OrderRunner:
 
         while True:
             # send
-            if (why := self._taken(run.plan, run.were_in)) is not None:
+            if (why := self._taken_in(run)) is not None:
                 return Outcome.refused(why)
             if not self._commands.transmit(name, values, clearance=run.clearance):
                 return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
