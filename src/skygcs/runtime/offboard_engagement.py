@@ -268,11 +268,15 @@ class OffboardEngagement:
         """Move the reference. Refused outside the fence, and unless it flies by setpoints."""
         if not self.flying:
             return self._not_flying()
-        if (why := self._own_controller() or self._outside(place)) is not None:
+        if (why := self.why_not_to(place)) is not None:
             return Outcome.refused(why)
         self.controller.fly_to(place, yaw_enu_rad)
         control_mode = self.controller.control_mode or self.controller.wanted
         return Outcome(True, "accepted", f"flying there by {control_mode.value} setpoints")
+
+    def why_not_to(self, place: GeodeticPosition) -> str | None:
+        """Why the reference may not be moved there; None: it may."""
+        return self._own_controller() or self._outside(place)
 
     def follow(self, setpoint: Setpoint, valid_s: float, *, given_at: float | None = None) -> Outcome:
         """One setpoint of a client's stream. ``given_at``: the time it is for, if it was under way since; it is moved
