@@ -11,7 +11,6 @@ on.
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
