@@ -121,6 +121,14 @@ def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
     return None
 
 
+def why_maybe_in_air(vehicle: Vehicle, now: float) -> str | None:
+    """Why it may be in the air, armed or not; None: it stands on the ground."""
+    if not vehicle.armed:
+        return why_maybe_flying(vehicle, now)
+    in_air = vehicle.in_air(now)
+    return "it is in the air" if in_air else "it is armed, and may be in the air" if in_air is None else None
+
+
 def is_being_armed(vehicle: Vehicle, now: float) -> bool:
     """True if an arming of ours may have armed it and no heartbeat has shown that yet."""
     return vehicle.armed_at < vehicle.arming_at and now <= vehicle.arming_until

@@ -18,7 +18,7 @@ from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import Destination
-from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
+from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_in_air, why_not_idle
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.order_plan import FORCE_HINT as FORCE_HINT  # beside the orders that are refused with it
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -199,10 +199,8 @@ def set_home(
     """
     require_connected(vehicle, now)
     # not in the air
-    flies = vehicle.in_air(now) is not False if vehicle.armed else why_maybe_flying(vehicle, now)
-    if flies and not force:
-        flying = flies if isinstance(flies, str) else "it is in the air"
-        raise RefusedError(f"{flying}, and its heights are counted from its home: land first, or {FORCE_HINT}")
+    if (why := why_maybe_in_air(vehicle, now)) is not None and not force:
+        raise RefusedError(f"{why}, and its heights are counted from its home: land first, or {FORCE_HINT}")
     if lat_deg is None and lon_deg is None and alt_amsl_m is None:
         return autopilot.set_home(None)
     if lat_deg is None or lon_deg is None:
