@@ -107,7 +107,7 @@ class _Line:
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """Conditions for sending a command that moves the vehicle."""
+    """Conditions for sending a command that moves the vehicle, or arms it."""
 
     wanted: Check
     """False once a newer order has taken its place; called when its turn has come."""
@@ -115,6 +115,16 @@ class Moves:
     """Why it is left to a pilot now, None: it is sent; called then, too, and before each repeat."""
     ended_only: bool = False
     """No newer order but one that ends the flight takes its place."""
+    done: Check = lambda: False
+    """Another order has done it meanwhile, and it is not sent; called when its turn has come."""
+
+    def outcome_unsent(self) -> Outcome | None:
+        """Its outcome if it is not sent although its turn has come; None: it is sent."""
+        if not self.wanted():
+            return Outcome(False, "cancelled", SUPERSEDED)
+        if (why := self.taken()) is not None:
+            return Outcome.refused(why)
+        return Outcome(True, "accepted", "another order has done it meanwhile") if self.done() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +243,8 @@ class CommandClient:
 
         The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
         vehicle: the best may be the one that loses them. Of the orders `EVERYWHERE` the first one does, too.
-        ``moves``: given for a command that moves the vehicle, which a newer order may replace (`supersede`), or a
-        pilot. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same
+        ``moves``: given for a command that moves or arms the vehicle, which a newer order may replace (`supersede`), or
+        a pilot. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same
         links (`Step.with_repeats`). ``timers_s``: the waits after each transmission. ``clearance``: see `SendFn`.
         """
         # refuse what cannot be packed
@@ -266,10 +276,8 @@ class CommandClient:
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
-            if moves is not None and not moves.wanted():
-                return Outcome(False, "cancelled", SUPERSEDED)
-            if moves is not None and (why := moves.taken()) is not None:
-                return Outcome.refused(why)
+            if moves is not None and (outcome := moves.outcome_unsent()) is not None:
+                return outcome
             waits_s = tuple(max(wait_s, self._min_retry_s) for wait_s in timers_s)
             if repeat_rule(spec).repeat is Repeat.NEVER:
                 waits_s = (sum(waits_s),)

@@ -19,6 +19,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import arms, firmware_name
+from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
 from skygcs.core.vehicle.order_ledger import REFUSALS, OrderLedger
 from skygcs.core.vehicle.order_plan import VERIFY_S, GoesThere, ModeIn, Plan, Step, TargetProof
@@ -187,6 +188,8 @@ class OrderRunner:
         sent. One that ends the flight always is."""
         if self._vehicle.mode in plan.spares:
             return f"it is in {self._vehicle.mode}"
+        if _arms(plan) and (why := disarmed_since(self._vehicle, before.at)) is not None:
+            return why
         if plan.order not in MOVING or plan.order in EVERYWHERE or plan.emergency or plan.final:
             return None
         return taken_since(self._vehicle, self._loop.time(), before)
@@ -531,15 +534,25 @@ class OrderRunner:
         """Conditions for the command of a plan. An arming moves nothing yet: it stands beside newer orders, but for one
         that ends the flight."""
         plan, number = run.plan, run.number
-        if plan.order == "arm":
-            return Moves(lambda: not self.ledger.flight_ended_since(number), ended_only=True)
+
+        def taken() -> str | None:
+            return self._taken(plan, run.were_in)
+
+        def armed() -> bool:
+            return arms(spec) and self._armed_since(run.were_in.at)
+
+        if _arms(plan) and plan.order not in MOVING:
+            return Moves(lambda: not self.ledger.flight_ended_since(number), taken, ended_only=True, done=armed)
         if plan.order not in MOVING or plan.final:
             return None
 
         def wanted() -> bool:
             return self.ledger.number == number or (self._newest is not None and spec in _commands(self._newest))
 
-        return Moves(wanted, lambda: self._taken(plan, run.were_in))
+        return Moves(wanted, taken, done=armed)
+
+    def _armed_since(self, at: float) -> bool:
+        return self._vehicle.armed and self._vehicle.armed_at > at
 
     @contextmanager
     def _arming(self, spec: CommandSpec) -> Iterator[Callable[[Outcome], None]]:
@@ -693,6 +706,10 @@ class OrderRunner:
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.ledger.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
+            if order == "arm" and (why := disarmed_since(self._vehicle, started)) is not None:
+                return replace(outcome, result="refused", message=f"refused: {why}")
+            if order == "arm" and self._armed_since(started):
+                return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
             if order in MOVING and (why := taken_since(self._vehicle, self._loop.time(), were_in)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
 
@@ -717,6 +734,10 @@ def duplicate_refusal(vehicle: Vehicle) -> Outcome:
     there = "" if where is None else f" ({where})"
     text = f"two vehicles with system id {vehicle.sysid} are on the air{there}; give one of them another"
     return Outcome(False, "refused", f"refused: {text}")
+
+
+def _arms(plan: Plan) -> bool:
+    return any(arms(spec) for spec in _commands(plan))
 
 
 def _commands(plan: Plan) -> list[CommandSpec]:

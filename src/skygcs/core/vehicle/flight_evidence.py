@@ -126,6 +126,13 @@ def is_being_armed(vehicle: Vehicle, now: float) -> bool:
     return vehicle.armed_at < vehicle.arming_at and now <= vehicle.arming_until
 
 
+def disarmed_since(vehicle: Vehicle, at: float) -> str | None:
+    """Why what was ordered ``at`` that time, and arms, must not be sent now: the vehicle has been armed since, and is
+    not any more. None: it may be."""
+    again = vehicle.armed_at > at and not vehicle.armed
+    return "it was armed since this was ordered, and is disarmed again" if again else None
+
+
 def why_not_idle(vehicle: Vehicle, now: float) -> str | None:
     """Why the vehicle must be treated as armed, and orders dangerous in the air be refused; None: it is idle."""
     if vehicle.armed:

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.flight_evidence import FRESH_S, contradiction, why_maybe_flying, why_not_idle
+from skygcs.core.vehicle.flight_evidence import FRESH_S, contradiction, disarmed_since, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.orders import reboot, set_home
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -104,6 +104,17 @@ def test_one_that_is_being_armed_is_not_idle_until_heartbeats_have_followed() ->
         vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=armed), at)
     vehicle.on_frame(voice.landed(1), NOW + 1.1)
     assert why_not_idle(vehicle, NOW + 1.2) is None, "it was armed, and is seen disarmed on the ground again"
+
+
+def test_what_was_armed_since_an_arming_was_ordered_is_not_armed_again_once_it_is_disarmed() -> None:
+    for ordered_at, armed, why in (
+        (NOW - 2.0, False, "it was armed since this was ordered, and is disarmed again"),
+        (NOW - 2.0, True, None),
+        (NOW, False, None),
+    ):
+        vehicle, voice = disarmed(armed_ago_s=1.0)
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=armed), NOW)
+        assert disarmed_since(vehicle, ordered_at) == why
 
 
 def test_what_was_on_the_ground_before_it_was_armed_may_have_left_it() -> None:
