@@ -69,6 +69,43 @@ async def test_a_step_that_follows_is_not_sent_to_him(tmp_path: Path) -> None:
         assert "mode AUTO: refused: it was switched to LOITER since" in outcome["message"]
 
 
+@each(
+    ("first", "heard", "pilot", "ends_in"),
+    [
+        ("accepted", True, (), "GUIDED"),
+        ("accepted", False, (), "GUIDED"),
+        ("accepted", False, (CopterMode.ALT_HOLD, CopterMode.LOITER), "LOITER"),
+        ("accepted", False, (CopterMode.ALT_HOLD,), "ALT_HOLD"),
+        ("refused", False, (CopterMode.LOITER,), "LOITER"),
+        ("lost", True, (CopterMode.LOITER,), "LOITER"),
+    ],
+)
+async def test_a_mode_that_is_corrected_before_it_shows_is_not_taken_for_his(
+    tmp_path: Path, first: str, heard: bool, pilot: tuple[CopterMode, ...], ends_in: str
+) -> None:
+    """LOITER was ordered, and 0.3 s later GUIDED: as LOITER showed after that, the correction was left to a pilot.
+    ``first``: what becomes of LOITER; ``heard``: whether GUIDED is, before it is repeated; ``pilot``: his switches."""
+    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+        sim, actor = gcs.sim(), gcs.actor()
+        gcs.uplink_delay_s = 0.4
+        gcs.deaf, sim.faults.refuse_mode = first == "lost", "not now" if first == "refused" else ""
+        wrong = asyncio.create_task(gcs.outcome("vehicles.mode", mode="LOITER", force=True))
+        await asyncio.sleep(0.3)
+        gcs.deaf = not heard
+        right = asyncio.create_task(gcs.outcome("vehicles.mode", mode="GUIDED"))
+        await asyncio.sleep(0.3)
+        assert (actor.vehicle.mode == "LOITER") is (first == "accepted"), "it shows now"
+        for mode in pilot:
+            sim.mode = mode  # his transmitter, which is refused nothing
+            await gcs.until(lambda wanted=mode.name: actor.vehicle.mode == wanted, 2.0)
+        gcs.deaf, sim.faults.refuse_mode = False, ""
+        outcome = await right
+        await asyncio.sleep(3.0)
+        assert actor.vehicle.mode == ends_in and outcome["ok"] is (ends_in == "GUIDED"), outcome
+        assert (await wrong)["result"] == "cancelled"
+        assert outcome["ok"] or f"it was switched to {ends_in} since" in outcome["message"]
+
+
 @each(("mode", "arms", "why"), [(CopterMode.LOITER, False, "switched to"), (CopterMode.STABILIZE, True, "armed in")])
 async def test_a_take_off_is_not_tried_again_once_he_has_it(
     tmp_path: Path, mode: CopterMode, arms: bool, why: str

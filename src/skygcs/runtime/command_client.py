@@ -94,7 +94,7 @@ class BroadcastCommand:
 class _Line:
     """One command id: the command in flight, those that wait, and the acks that may still come late."""
 
-    __slots__ = ("ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
+    __slots__ = ("accepted", "ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
 
     def __init__(self) -> None:
         self.lock = asyncio.Lock()
@@ -103,6 +103,8 @@ class _Line:
         self.quiet_until = 0.0
         self.ended_at = -ECHO_ACK_S
         self.quieted = asyncio.Event()
+        self.accepted: Callable[[], None] = lambda: None
+        """`Moves.accepted` of the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,8 @@ class Moves:
     """No newer order but one that ends the flight takes its place."""
     done: Check = lambda: False
     """Another order has done it meanwhile, and it is not sent; called when its turn has come."""
+    accepted: Callable[[], None] = lambda: None
+    """Called when the vehicle has accepted it, also after a newer order has taken its place."""
 
     def outcome_unsent(self) -> Outcome | None:
         """Its outcome if it is not sent although its turn has come; None: it is sent."""
@@ -356,6 +360,8 @@ class CommandClient:
         line = self._lines.get(ack.command)
         if line is not None and line.late:
             line.late -= 1
+            if ack.result == 0:
+                line.accepted()
             if not line.late:
                 line.quieted.set()
 
@@ -440,6 +446,9 @@ class CommandClient:
             line.late = protocol.outstanding
             line.ended_at = self._loop.time()
             line.quiet_until = protocol.last_sent + LATE_ACK_S
+            line.accepted = (lambda: None) if request.moves is None else request.moves.accepted
+        if outcome.ok and protocol.acks:
+            line.accepted()
         # explain a timeout
         if outcome.result == "timeout" and running.not_taken >= protocol.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)

@@ -22,7 +22,7 @@ from skygcs.core.vehicle.autopilot import arms, firmware_name
 from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
 from skygcs.core.vehicle.order_ledger import REFUSALS, OrderLedger
-from skygcs.core.vehicle.order_plan import VERIFY_S, GoesThere, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.order_plan import VERIFY_S, Expectation, GoesThere, ModeIn, Plan, Step, TargetProof
 from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
 from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -192,7 +192,14 @@ class OrderRunner:
             return why
         if plan.order not in MOVING or plan.order in EVERYWHERE or plan.emergency or plan.final:
             return None
-        return taken_since(self._vehicle, self._loop.time(), before)
+        return self._pilot_since(before)
+
+    def _pilot_since(self, before: Hands) -> str | None:
+        """`taken_since`; a mode that the vehicle has accepted from us and that shows late is not its pilot's."""
+        vehicle = self._vehicle
+        if self.ledger.is_own_mode(vehicle.custom_mode, vehicle.mode_changes, vehicle.mode_since):
+            before = before._replace(stick_mode=vehicle.mode)
+        return taken_since(vehicle, self._loop.time(), before)
 
     def _switched(self, asked: Asked) -> str | None:
         if asked.custom_mode is None or self._vehicle.custom_mode == asked.custom_mode:
@@ -517,7 +524,7 @@ class OrderRunner:
                 emergency=plan.emergency,
                 satisfied=met,
                 on_report=lambda percent: self.report_progress(plan.order, percent),
-                moves=self._moves(spec, run),
+                moves=self._moves(spec, run, expect),
                 with_repeats=step.with_repeats,
                 clearance=run.clearance,
             )
@@ -530,10 +537,10 @@ class OrderRunner:
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
 
-    def _moves(self, spec: CommandSpec, run: _PlanInProgress) -> Moves | None:
+    def _moves(self, spec: CommandSpec, run: _PlanInProgress, expect: Expectation | None) -> Moves | None:
         """Conditions for the command of a plan. An arming moves nothing yet: it stands beside newer orders, but for one
         that ends the flight."""
-        plan, number = run.plan, run.number
+        plan, number, mode_changes = run.plan, run.number, self._vehicle.mode_changes
 
         def taken() -> str | None:
             return self._taken(plan, run.were_in)
@@ -549,7 +556,11 @@ class OrderRunner:
         def wanted() -> bool:
             return self.ledger.number == number or (self._newest is not None and spec in _commands(self._newest))
 
-        return Moves(wanted, taken, done=armed)
+        def accepted() -> None:
+            if isinstance(expect, ModeIn):
+                self.ledger.mode_accepted(expect.custom_modes, mode_changes, self._loop.time() + VERIFY_S)
+
+        return Moves(wanted, taken, done=armed, accepted=accepted)
 
     def _armed_since(self, at: float) -> bool:
         return self._vehicle.armed and self._vehicle.armed_at > at
@@ -710,7 +721,7 @@ class OrderRunner:
                 return replace(outcome, result="refused", message=f"refused: {why}")
             if order == "arm" and self._armed_since(started):
                 return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
-            if order in MOVING and (why := taken_since(self._vehicle, self._loop.time(), were_in)) is not None:
+            if order in MOVING and (why := self._pilot_since(were_in)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
 
     def _is_ambiguous(self, plan: Plan) -> bool:

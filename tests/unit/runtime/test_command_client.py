@@ -113,6 +113,22 @@ async def test_what_another_order_has_done_when_its_turn_comes_is_not_sent() -> 
     assert (second.ok, second.attempts, radio.sent) == (True, 0, 1) and first.result().ok
 
 
+@pytest.mark.parametrize(("result", "accepted"), [(0, 1), (2, 0)])
+async def test_a_late_acceptance_is_told_to_the_order_that_a_newer_one_has_replaced(result: int, accepted: int) -> None:
+    radio, told = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0), list[float]()
+    moves = Moves(lambda: True, accepted=lambda: told.append(radio.loop.time()))
+    replaced = asyncio.create_task(radio.commands.run(CommandSpec(176, (2.0,)), moves=moves))
+    await asyncio.sleep(0.3)
+    radio.commands.supersede([], ends_flight=False)
+    assert (await replaced).result == "cancelled" and not told
+    newer = asyncio.create_task(radio.commands.run(CommandSpec(176, (4.0,))))
+    await asyncio.sleep(0)
+    radio.commands.on_ack(Ack(176, result, 0, 255, 25), radio.loop.time())
+    assert len(told) == accepted
+    radio.loss = 0.0
+    assert (await newer).ok and len(told) == accepted
+
+
 async def test_the_second_ack_of_px4s_set_mode_does_not_pass_for_the_next_ones() -> None:
     radio = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0)
     loop, commands = radio.loop, radio.commands

@@ -1,4 +1,5 @@
-"""The ledger of the orders to one vehicle: which of them counts, and whether one of them may have armed it. Pure.
+"""The ledger of the orders to one vehicle: which of them counts, whether one of them may have armed it, and which mode
+is of ours although it shows late. Pure.
 
 Orders are not sent in the sequence in which they are asked for, and a vehicle may refuse one. So each has two counts:
 
@@ -25,6 +26,12 @@ class _InProgress(NamedTuple):
     serial: int
 
 
+class _OwnMode(NamedTuple):
+    custom_modes: frozenset[int]
+    mode_changes: int
+    until: float
+
+
 class OrderLedger:
     """The orders that move one vehicle: `begins` and `ended` with each; and its armings, which move nothing."""
 
@@ -49,6 +56,8 @@ class OrderLedger:
         """When the last one began."""
         self._armed_within = -math.inf, -math.inf
         """When the last one that may have had an effect was sent, and until when a heartbeat may yet show it."""
+        self._own_mode = _OwnMode(frozenset(), 0, -math.inf)
+        """That of the last command to a mode that the vehicle has accepted."""
 
     # -- orders that move the vehicle
 
@@ -95,6 +104,19 @@ class OrderLedger:
     def flight_ended_since(self, number: int) -> bool:
         """True if an order that ends a flight has begun after this one."""
         return self._ending_number > number
+
+    # -- modes
+
+    def mode_accepted(self, custom_modes: frozenset[int], mode_changes: int, until: float) -> None:
+        """Note that the vehicle has accepted a command of ours to one of these modes. ``mode_changes``: what its
+        heartbeats had shown before that was sent (`Vehicle.mode_changes`). ``until``: by then they show the mode."""
+        self._own_mode = _OwnMode(custom_modes, mode_changes, until)
+
+    def is_own_mode(self, custom_mode: int, mode_changes: int, mode_since: float) -> bool:
+        """True if the present mode of the vehicle is one that it has accepted from us: the first other one that its
+        heartbeats have shown since the command was sent, in time, and not left since."""
+        own = self._own_mode
+        return custom_mode in own.custom_modes and mode_changes == own.mode_changes + 1 and mode_since <= own.until
 
     # -- armings
 

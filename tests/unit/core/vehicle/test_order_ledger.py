@@ -80,6 +80,27 @@ def test_what_ends_a_flight_ends_it_for_what_began_before() -> None:
     assert ledger.flight_ended_since(before) and not ledger.flight_ended_since(ending)
 
 
+@pytest.mark.parametrize(
+    ("mode", "mode_changes", "mode_since", "own"),
+    [
+        (5, 8, 12.9, True),
+        (5, 8, 13.1, False),  # too late
+        (5, 7, 9.0, False),  # it was in that one before
+        (5, 9, 12.0, False),  # another one has shown in between
+        (2, 8, 12.0, False),
+    ],
+)
+def test_a_mode_is_our_own_if_it_was_accepted_and_shows_next_and_in_time(
+    mode: int, mode_changes: int, mode_since: float, own: bool
+) -> None:
+    ledger = OrderLedger()
+    assert not ledger.is_own_mode(mode, mode_changes, mode_since)
+    ledger.mode_accepted(frozenset({5, 6}), 7, 13.0)
+    assert ledger.is_own_mode(mode, mode_changes, mode_since) is own
+    ledger.mode_accepted(frozenset({4}), 7, 13.0)
+    assert not ledger.is_own_mode(mode, mode_changes, mode_since), "a newer one is accepted"
+
+
 def test_an_arming_may_show_until_heartbeats_have_followed_what_may_have_armed_it() -> None:
     ledger = OrderLedger()
     assert ledger.arming == (-math.inf, -math.inf)
