@@ -38,6 +38,9 @@ MOVING = frozenset(
 )
 """Orders that replace the one in progress."""
 
+ARMING = frozenset({"arm"})
+"""Orders that arm and move nothing yet."""
+
 ENDING = EVERYWHERE | {"stop"}
 """Orders that end a flight; they replace an arming in progress, too."""
 
@@ -190,16 +193,22 @@ class OrderRunner:
             return f"it is in {self._vehicle.mode}"
         if _arms(plan) and (why := disarmed_since(self._vehicle, before.at)) is not None:
             return why
-        if plan.order not in MOVING or plan.order in EVERYWHERE or plan.emergency or plan.final:
+        if plan.order in EVERYWHERE or plan.emergency or plan.final:
             return None
-        return self._pilot_since(before)
+        return self._pilot_since(plan.order, before)
 
-    def _pilot_since(self, before: Hands) -> str | None:
-        """`taken_since`; a mode that the vehicle has accepted from us and that shows late is not its pilot's."""
+    def _pilot_since(self, order: str, before: Hands) -> str | None:
+        """`taken_since` of an order that moves the vehicle or arms it; a mode that the vehicle has accepted from us and
+        that shows late is not its pilot's."""
         vehicle = self._vehicle
+        if order not in ARMING | MOVING:
+            return None
         if self.ledger.is_own_mode(vehicle.custom_mode, vehicle.mode_changes, vehicle.mode_since):
             before = before._replace(stick_mode=vehicle.mode)
-        return taken_since(vehicle, self._loop.time(), before)
+        if order in MOVING:
+            return taken_since(vehicle, self._loop.time(), before)
+        why = taken_since(vehicle, self._loop.time(), before._replace(armed=True))
+        return why and f"{why}; order it again to arm it in {vehicle.mode}"
 
     def _switched(self, asked: Asked) -> str | None:
         if asked.custom_mode is None or self._vehicle.custom_mode == asked.custom_mode:
@@ -717,11 +726,11 @@ class OrderRunner:
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.ledger.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
-            if order == "arm" and (why := disarmed_since(self._vehicle, started)) is not None:
+            if order in ARMING and (why := disarmed_since(self._vehicle, started)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
-            if order == "arm" and self._armed_since(started):
+            if order in ARMING and self._armed_since(started):
                 return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
-            if order in MOVING and (why := self._pilot_since(were_in)) is not None:
+            if (why := self._pilot_since(order, were_in)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
 
     def _is_ambiguous(self, plan: Plan) -> bool:
