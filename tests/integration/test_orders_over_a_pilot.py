@@ -12,8 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
-from skygcs.sim.firmware_modes import CopterMode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, flown
+from support.grounded import on_the_ground
 from support.table import each
 
 pytestmark = pytest.mark.looptime
@@ -146,3 +147,31 @@ async def test_a_take_off_is_not_tried_again_once_he_has_it(
         await asyncio.sleep(3.0)
         assert gcs.actor().vehicle.mode == mode.name and gcs.sim().landed, outcome
         assert f"refused: it was {why} {mode.name} since" in outcome["message"]
+
+
+@each("name", ["v1", "v2"])
+@each("without", ["its checks", "a position"])
+async def test_it_is_not_armed_for_an_order_that_waited_once_he_has_it(tmp_path: Path, name: str, without: str) -> None:
+    """He had switched it to a mode of his sticks, and its motors started under his hands. Who orders it then is
+    obeyed."""
+    async with on_the_ground(tmp_path) as gcs:
+        sim, actor = gcs.sim(name), gcs.actor(name)
+        taken = int(Px4Mode.POSCTL) if name == "v1" else int(CopterMode.LOITER)
+        if without == "a position" and name == "v2":
+            sim.faults.gps_lost = True
+            await asyncio.sleep(10.0)
+        else:
+            sim.faults.refuse_arming = "not now"
+        ordered = asyncio.create_task(gcs.outcome("vehicles.arm", name, wait_s=30.0))
+        await asyncio.sleep(3.3)
+        sim.mode = taken
+        await gcs.until(lambda: actor.vehicle.custom_mode == taken, 3.0)
+        sim.faults.refuse_arming, sim.faults.gps_lost, seen = "", False, gcs.now
+        outcome = await ordered
+        await asyncio.sleep(5.0)
+        mode = actor.vehicle.mode
+        said = f"it was switched to {mode} since, which its pilot flies; order it again to arm it in {mode}"
+        assert said in outcome["message"] and not sim.armed, outcome
+        assert not gcs.commands(seen, name)
+        again = await gcs.outcome("vehicles.arm", name)
+        assert sim.armed or "no manual control input" in again["message"], "a PX4 sees none of his sticks here"

@@ -38,6 +38,9 @@ MOVING = frozenset(
 )
 """Orders that replace the one in progress."""
 
+ARMING = frozenset({"arm"})
+"""Orders that arm and move nothing yet."""
+
 ENDING = EVERYWHERE | {"stop"}
 """Orders that end a flight; they replace an arming in progress, too."""
 
@@ -190,24 +193,27 @@ class OrderRunner:
         sent. One that ends the flight always is if a person gives it (``asked_now``)."""
         if self._vehicle.mode in plan.spares:
             return f"it is in {self._vehicle.mode}"
-        if (
-            any(arms(spec) for spec in _commands(plan))
-            and (why := disarmed_since(self._vehicle, before.at)) is not None
-        ):
+        if _arms(plan) and (why := disarmed_since(self._vehicle, before.at)) is not None:
             return why
-        if plan.order not in MOVING or plan.emergency or plan.final or (plan.order in EVERYWHERE and asked_now):
+        if plan.emergency or plan.final or (plan.order in EVERYWHERE and asked_now):
             return None
-        return self._pilot_since(before)
+        return self._pilot_since(plan.order, before)
 
     def _taken_in(self, run: _PlanInProgress) -> str | None:
         return self._taken(run.plan, run.were_in, asked_now=run.asked_now)
 
-    def _pilot_since(self, before: Hands) -> str | None:
-        """`taken_since`; a mode that the vehicle has accepted from us and that shows late is not its pilot's."""
+    def _pilot_since(self, order: str, before: Hands) -> str | None:
+        """`taken_since` of an order that moves the vehicle or arms it; a mode that the vehicle has accepted from us and
+        that shows late is not its pilot's."""
         vehicle = self._vehicle
+        if order not in ARMING | MOVING:
+            return None
         if self.ledger.is_own_mode(vehicle.custom_mode, vehicle.mode_changes, vehicle.mode_since):
             before = before._replace(stick_mode=vehicle.mode)
-        return taken_since(vehicle, self._loop.time(), before)
+        if order in MOVING:
+            return taken_since(vehicle, self._loop.time(), before)
+        why = taken_since(vehicle, self._loop.time(), before._replace(armed=True))
+        return why and f"{why}; order it again to arm it in {vehicle.mode}"
 
     def _switched(self, asked: Asked) -> str | None:
         if asked.custom_mode is None or self._vehicle.custom_mode == asked.custom_mode:
@@ -558,7 +564,7 @@ class OrderRunner:
         def armed() -> bool:
             return arms(spec) and self._armed_since(run.were_in.at)
 
-        if arms(spec) and plan.order not in MOVING:
+        if _arms(plan) and plan.order not in MOVING:
             return Moves(lambda: not self.ledger.flight_ended_since(number), taken, ended_only=True, done=armed)
         if plan.order not in MOVING or plan.final:
             return None
@@ -727,11 +733,11 @@ class OrderRunner:
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.ledger.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
-            if order == "arm" and (why := disarmed_since(self._vehicle, started)) is not None:
+            if order in ARMING and (why := disarmed_since(self._vehicle, started)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
-            if order == "arm" and self._armed_since(started):
+            if order in ARMING and self._armed_since(started):
                 return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
-            if order in MOVING and (why := self._pilot_since(were_in)) is not None:
+            if (why := self._pilot_since(order, were_in)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
 
     def _is_ambiguous(self, plan: Plan) -> bool:
@@ -755,6 +761,10 @@ def duplicate_refusal(vehicle: Vehicle) -> Outcome:
     there = "" if where is None else f" ({where})"
     text = f"two vehicles with system id {vehicle.sysid} are on the air{there}; give one of them another"
     return Outcome(False, "refused", f"refused: {text}")
+
+
+def _arms(plan: Plan) -> bool:
+    return any(arms(spec) for spec in _commands(plan))
 
 
 def _commands(plan: Plan) -> list[CommandSpec]:

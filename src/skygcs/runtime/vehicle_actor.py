@@ -387,9 +387,9 @@ class VehicleActor:
     # -- orders
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
-        """Arm. With ``wait_s`` it is repeated every second until the vehicle accepts, it is armed otherwise, or the
-        time is over, and sent only when an ArduCopter has a position: in STABILIZE it would arm without one, and then
-        refuse to take off.
+        """Arm. With ``wait_s`` it is repeated every second until the vehicle accepts, it is armed otherwise, a pilot
+        switches it to a mode of his sticks, or the time is over; and sent only when an ArduCopter has a position: in
+        STABILIZE it would arm without one, and then refuse to take off.
 
         ``force``: without the autopilot's checks, and without a preflight required by the fleet file.
         """

@@ -559,6 +559,15 @@ async def test_a_disarming_takes_the_place_of_an_arming_that_is_still_repeated(g
     assert [c for c in vehicle.commands()[before:] if c[0] == ARM] == [(ARM, (0.0, 0.0))]
 
 
+async def test_a_disarming_ends_an_arming_that_asks_for_a_position_yet(ground: Ground) -> None:
+    vehicle, actor = await one(ground, ARDUPILOT)
+    vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.command == ARM else None
+    arm = asyncio.create_task(actor.arm(wait_s=30.0))
+    await asyncio.sleep(0.3)
+    assert (await actor.disarm()).ok and arm.done() and arm.result().result == "cancelled"
+    assert [p for c, p in vehicle.commands() if c == ARM] == [(0.0, 0.0)]
+
+
 async def test_a_takeoff_that_a_stop_followed_at_once_does_not_end_with_taking_off(ground: Ground) -> None:
     """The PX4 had accepted it, and was stopped before it showed its mode: "ok, taking off" came after the stop."""
     vehicle, actor = await one(ground, PX4)
