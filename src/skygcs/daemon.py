@@ -42,7 +42,6 @@ from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
-from skygcs.runtime.send_gate_watch import SendGateWatch
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.unattended_holds import STATION_MESSAGES
@@ -133,8 +132,6 @@ class Daemon:
         self.extensions = self._new_extensions()
         self._connect_extensions(view)
         self._forget_after_pauses()
-        names = {vehicle.sysid: name for name, vehicle in config.vehicles.items()}
-        self.send_gate_watch = SendGateWatch(self.hub, self.fleet, names, publish)
 
     def _vehicles(self) -> Iterator[Vehicle]:
         return (actor.vehicle for actor in self.fleet.vehicles.values())
@@ -288,7 +285,7 @@ class Daemon:
         if flown:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PARK_S):
-                    await self.fleet.orders.command_all(flown, VehicleActor.hold)
+                    await self.fleet.orders.command_all(flown, VehicleActor.hold, by_person=False)
 
     async def reload(self, config: FleetConfig) -> list[str]:
         """Apply another version of the fleet file: links that differ are closed, changed or opened, all others go on.
@@ -330,8 +327,10 @@ class Daemon:
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
     def check_sending(self) -> None:
-        """See `SendGateWatch.tick`."""
-        self.send_gate_watch.tick()
+        """Compare the gates with the last look, a few times a second and after a change that is to show at once."""
+        if (gates := self.hub.send_gates) is not None:
+            for sysid, refusal in gates.changes(self.hub.boot_clock()):
+                self.fleet.authority_changed(sysid, refusal)
 
     def _tick_third_party(self) -> None:
         self.third_party.tick(self.now())

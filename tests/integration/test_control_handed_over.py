@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -91,3 +92,68 @@ async def test_an_order_that_is_denied_while_control_is_being_engaged(tmp_path: 
         assert not (await engaging)["ok"]
         await asyncio.sleep(10)
         assert gcs.is_safe() and gcs.farthest_m(since) < 1.5
+
+
+@KINDS
+async def test_control_that_is_set_during_a_hand_over_follows_it(tmp_path: Path, kind: dict[str, int]) -> None:
+    """Set 0.02 s after a hold, it was refused for a newer order; during a hold that was not heard, control ended."""
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
+        await gcs.fly("velocity")
+        await asyncio.sleep(3)
+        holding = asyncio.create_task(gcs.outcome("vehicles.hold"))
+        await asyncio.sleep(0.02)
+        await gcs.fly("velocity")
+        assert (await holding)["ok"]
+        # one that is not heard: it is flown all the while
+        gcs.loses = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"})
+        since = gcs.now
+        holding = asyncio.create_task(gcs.outcome("vehicles.hold"))
+        await asyncio.sleep(0.5)
+        setting = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        assert not (await holding)["ok"]
+        gcs.loses = frozenset()
+        assert (await setting)["message"] == "flown by velocity setpoints"
+        sent = [s.at for s in gcs.setpoints(since)]
+        assert max(b - a for a, b in itertools.pairwise(sent)) < 0.5 and gcs.farthest_m(since) < 1.5
+        # an order that came later is not overtaken
+        gcs.loses = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"})
+        holding = asyncio.create_task(gcs.outcome("vehicles.hold"))
+        await asyncio.sleep(0.5)
+        setting = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        await asyncio.sleep(0.1)
+        landing = asyncio.create_task(gcs.outcome("vehicles.land"))
+        await asyncio.sleep(1.0)
+        gcs.loses = frozenset()
+        assert (await landing)["ok"] and not (await setting)["ok"] and not (await holding)["ok"]
+        await asyncio.sleep(2.0)
+        assert gcs.actor().vehicle.mode in ("AUTO.LAND", "LAND")
+
+
+@KINDS
+async def test_control_that_is_set_again_while_it_is_entered(tmp_path: Path, kind: dict[str, int]) -> None:
+    """A PX4 that showed OFFBOARD by then was taken for one that another program flies, and left."""
+    for after_s in (0.3, 1.0, 2.0):
+        async with aloft(tmp_path / str(after_s), **kind) as gcs:
+            first = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+            await asyncio.sleep(after_s)
+            second = await gcs.outcome("control.set", mode="velocity")
+            await first
+            await asyncio.sleep(3.0)
+            assert second["ok"] and gcs.control()["state"] == "flying", (after_s, second)
+
+
+@KINDS
+async def test_an_entry_that_is_overtaken_leaves_the_rates_as_they_were(tmp_path: Path, kind: dict[str, int]) -> None:
+    """The position stayed at 50 Hz for good."""
+    async with aloft(tmp_path, **kind) as gcs:
+        await asyncio.sleep(10.0)
+        slot = gcs.actor().vehicle.slot("GLOBAL_POSITION_INT")
+        before_hz = slot.rate_hz
+        setting = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
+        await gcs.until(
+            lambda: [s for s in gcs.sent if s.values.get("param1") == 33.0 and s.values.get("param2") == 20000.0]
+        )
+        await gcs.done("vehicles.hold")
+        assert not (await setting)["ok"]
+        await asyncio.sleep(30.0)
+        assert slot.rate_hz == pytest.approx(before_hz, rel=0.3)

@@ -7,9 +7,12 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.geo import EnuFrame
 from skygcs.sim.conditions import Conditions, Dynamics
 from support.encounters import KINDS, arena, encounter, judge
 from support.examples import covered_by_other_flights
@@ -236,3 +239,55 @@ async def test_a_change_of_origin_in_mid_conflict_changes_no_level_and_no_distan
         # and an order into the other one is refused as before
         order = {"targets": "v1", "lat_deg": there[0], "lon_deg": there[1]}
         assert refused_for((await gcs("vehicles.goto", **order))["outcomes"], "v1", "v2")
+
+
+@pytest.mark.parametrize("moved_by", ["setpoints", "another station"])
+async def test_a_vehicle_that_was_moved_on_from_where_we_sent_it_is_in_the_way_where_it_is(
+    moved_by: str, tmp_path: Path
+) -> None:
+    """Its old destination was taken for its place: two vehicles met at 0.0005 m."""
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        x, y, z = gcs.place("v1")
+        if moved_by == "setpoints":
+            await gcs.fly("position")
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[x - 20.0, y, z])
+        await asyncio.sleep(10.0)
+        there = [x, y - 12.0, z]
+        if moved_by == "setpoints":
+            for _ in range(30):
+                await gcs.done("control.setpoint", targets="v1", pos_enu_m=there, valid_s=2.0)
+                await asyncio.sleep(0.5)
+        else:
+            lat_deg, lon_deg, alt_m = EnuFrame(gcs.daemon.fleet.origin).to_geodetic(*there)
+            at = round(lat_deg * 1e7), round(lon_deg * 1e7)
+            gcs.by_other_station(mav.MAVLink_command_int_message(1, 1, 0, 192, 0, 0, -1, 1, 0, math.nan, *at, alt_m))
+            await asyncio.sleep(15.0)
+        assert math.dist(gcs.place("v1"), there) < 0.5
+        outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=there))["outcomes"]
+        assert refused_for(outcomes, "v2", "v1"), outcomes
+
+
+async def test_a_destination_counts_again_when_the_order_that_replaced_it_fails(tmp_path: Path) -> None:
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        x, y, z = gcs.place("v1")
+        there = [x, y - 80.0, z]
+        await gcs.done("vehicles.goto", targets="v1", enu_m=there)
+        await asyncio.sleep(2.0)
+        with mock.patch.object(gcs.sim().faults, "refuse_mode", "not now"):
+            assert (await gcs.outcome("vehicles.goto", enu_m=[x - 50.0, y, z]))["result"] == "temporarily_rejected"
+        outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=there))["outcomes"]
+        assert refused_for(outcomes, "v2", "v1"), outcomes
+
+
+async def test_one_that_does_not_go_with_the_others_is_in_their_way(tmp_path: Path) -> None:
+    """One refused by its own limit was flown into at 0.04 m, and so was one that was lost in the air."""
+    tables = {"vehicles": {"v2": {"sysid": 2, "goto_limit_m": 4.0}}}
+    async with aloft(tmp_path, px4=3, conditions=EXACT, tables=tables) as gcs:
+        x, y, z = gcs.place("v2")
+        # all move by one place to the east: v2 stays, so v1 stays, and v3 goes
+        outcomes = (await gcs("vehicles.goto", targets="all", enu_m=[x + 5.0, y, z]))["outcomes"]
+        assert refused_for(outcomes, "v1", "v2") and outcomes["v3"]["ok"] and not outcomes["v2"]["ok"], outcomes
+        gcs.muted.add(2)
+        await asyncio.sleep(30.0)
+        outcomes = (await gcs("vehicles.goto", targets="v1,v2", enu_m=[x, y, z], same_place=True))["outcomes"]
+        assert refused_for(outcomes, "v1", "v2") and "lost in the air" in outcomes["v1"]["message"], outcomes

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.monitor.departures import Departures
@@ -21,6 +22,7 @@ from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, aloft
 from support.grounded import on_the_ground
 from support.returning import all_down, swapped
+from support.table import each
 
 pytestmark = pytest.mark.looptime
 
@@ -343,3 +345,58 @@ async def test_a_landing_that_comes_before_the_heartbeat_shows_the_arming_brings
         await takes_off
         assert outcome["ok"] and "nothing was sent" not in outcome["message"], outcome
         await gcs.until(lambda: not sim.armed, 60.0)
+
+
+def armings(gcs: Flown, since: float, name: str) -> list[float]:
+    """Of each command to arm or to disarm that was sent to it since then: 1 or 0."""
+    ids = [c for c in gcs.commands(since - 1e-6, name) if c.values["command"] == mav_cmd.COMPONENT_ARM_DISARM]
+    return [c.values["param1"] for c in ids]
+
+
+@each("name", ["v1", "v2"])
+@each(
+    ("disarmed_s", "answers", "sent"),
+    [
+        (None, ["accepted", "accepted"], [1.0, 1.0]),
+        (0.1, ["cancelled", "cancelled"], [1.0, 0.0]),
+        (0.3, ["accepted", "cancelled"], [1.0, 1.0, 0.0]),
+        (1.2, ["accepted", "accepted"], [1.0, 1.0, 0.0]),
+    ],
+)
+async def test_two_clients_who_arm_at_once_undo_no_disarming_by_a_third(
+    tmp_path: Path, disarmed_s: float | None, answers: list[str], sent: list[float], name: str
+) -> None:
+    async with on_the_ground(tmp_path, delay_s=0.1) as gcs:
+        since = gcs.now
+        both = [asyncio.create_task(gcs.outcome("vehicles.arm", name)) for _ in range(2)]
+        if disarmed_s is not None:
+            await asyncio.sleep(disarmed_s)
+            await gcs.done("vehicles.disarm", name)
+        assert [(await one)["result"] for one in both] == answers
+        await asyncio.sleep(5.0)
+        assert armings(gcs, since, name) == sent and gcs.sim(name).armed is (disarmed_s is None)
+
+
+@each(
+    ("name", "disarms", "said"),
+    [
+        ("v1", True, "refused: it was armed since this was ordered, and is disarmed again"),
+        ("v2", True, "armed"),  # when its turn comes, no heartbeat has shown the disarming
+        ("v2", False, "armed"),
+    ],
+)
+async def test_an_arming_that_waited_for_an_equal_one_is_not_sent_once_that_has_shown(
+    tmp_path: Path, name: str, disarms: bool, said: str
+) -> None:
+    """Its answer was lost. The other client's went out after it, and armed what a pilot had disarmed meanwhile."""
+    async with on_the_ground(tmp_path) as gcs:
+        gcs.sim(name).faults.ack_loss = 1.0
+        since = gcs.now
+        both = [asyncio.create_task(gcs.outcome("vehicles.arm", name)) for _ in range(2)]
+        await gcs.until(lambda: gcs.actor(name).vehicle.armed, 2.0)
+        if disarms:
+            gcs.by_other_station(mav.MAVLink_command_long_message(gcs.sim(name).sysid, 1, 400, 0, *[0.0] * 7))
+        first, second = [await one for one in both]
+        await asyncio.sleep(5.0)
+        assert (first["message"], second["message"]) == ("armed", said)
+        assert armings(gcs, since, name) == [1.0] and gcs.sim(name).armed is not disarms

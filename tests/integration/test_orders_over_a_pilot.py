@@ -12,8 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
-from skygcs.sim.firmware_modes import CopterMode
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, flown
+from support.grounded import on_the_ground
 from support.table import each
 
 pytestmark = pytest.mark.looptime
@@ -69,6 +70,64 @@ async def test_a_step_that_follows_is_not_sent_to_him(tmp_path: Path) -> None:
         assert "mode AUTO: refused: it was switched to LOITER since" in outcome["message"]
 
 
+@each(("by_person", "ends_in"), [(True, "GUIDED"), (False, "LOITER")])
+async def test_a_hold_of_our_own_is_not_repeated_to_him(tmp_path: Path, by_person: bool, ends_in: str) -> None:
+    """Of the watch for the unattended, as control was ended: it took the vehicle back from its pilot."""
+    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+        await gcs.fly("velocity")
+        await asyncio.sleep(5.0)
+        gcs.loses, since = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}), gcs.now
+        if by_person:
+            ordered = asyncio.create_task(gcs.outcome("vehicles.hold"))
+        else:
+            gcs.actor().offboard.release("a test ends it")
+        await gcs.until(lambda: [s for s in gcs.sent if s.values.get("command") == 176 and s.at > since], 5.0)
+        gcs.other_sets_mode(CopterMode.LOITER)
+        await gcs.until(lambda: gcs.actor().vehicle.mode == "LOITER", 3.0)
+        gcs.loses = frozenset()
+        await asyncio.sleep(8.0)
+        assert gcs.actor().vehicle.mode == ends_in
+        if by_person:
+            assert (await ordered)["ok"]
+
+
+@each(
+    ("first", "heard", "pilot", "ends_in"),
+    [
+        ("accepted", True, (), "GUIDED"),
+        ("accepted", False, (), "GUIDED"),
+        ("accepted", False, (CopterMode.ALT_HOLD, CopterMode.LOITER), "LOITER"),
+        ("accepted", False, (CopterMode.ALT_HOLD,), "ALT_HOLD"),
+        ("refused", False, (CopterMode.LOITER,), "LOITER"),
+        ("lost", True, (CopterMode.LOITER,), "LOITER"),
+    ],
+)
+async def test_a_mode_that_is_corrected_before_it_shows_is_not_taken_for_his(
+    tmp_path: Path, first: str, heard: bool, pilot: tuple[CopterMode, ...], ends_in: str
+) -> None:
+    """LOITER was ordered, and 0.3 s later GUIDED: as LOITER showed after that, the correction was left to a pilot.
+    ``first``: what becomes of LOITER; ``heard``: whether GUIDED is, before it is repeated; ``pilot``: his switches."""
+    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+        sim, actor = gcs.sim(), gcs.actor()
+        gcs.uplink_delay_s = 0.4
+        gcs.deaf, sim.faults.refuse_mode = first == "lost", "not now" if first == "refused" else ""
+        wrong = asyncio.create_task(gcs.outcome("vehicles.mode", mode="LOITER", force=True))
+        await asyncio.sleep(0.3)
+        gcs.deaf = not heard
+        right = asyncio.create_task(gcs.outcome("vehicles.mode", mode="GUIDED"))
+        await asyncio.sleep(0.3)
+        assert (actor.vehicle.mode == "LOITER") is (first == "accepted"), "it shows now"
+        for mode in pilot:
+            sim.mode = mode  # his transmitter, which is refused nothing
+            await gcs.until(lambda wanted=mode.name: actor.vehicle.mode == wanted, 2.0)
+        gcs.deaf, sim.faults.refuse_mode = False, ""
+        outcome = await right
+        await asyncio.sleep(3.0)
+        assert actor.vehicle.mode == ends_in and outcome["ok"] is (ends_in == "GUIDED"), outcome
+        assert (await wrong)["result"] == "cancelled"
+        assert outcome["ok"] or f"it was switched to {ends_in} since" in outcome["message"]
+
+
 @each(("mode", "arms", "why"), [(CopterMode.LOITER, False, "switched to"), (CopterMode.STABILIZE, True, "armed in")])
 async def test_a_take_off_is_not_tried_again_once_he_has_it(
     tmp_path: Path, mode: CopterMode, arms: bool, why: str
@@ -88,3 +147,31 @@ async def test_a_take_off_is_not_tried_again_once_he_has_it(
         await asyncio.sleep(3.0)
         assert gcs.actor().vehicle.mode == mode.name and gcs.sim().landed, outcome
         assert f"refused: it was {why} {mode.name} since" in outcome["message"]
+
+
+@each("name", ["v1", "v2"])
+@each("without", ["its checks", "a position"])
+async def test_it_is_not_armed_for_an_order_that_waited_once_he_has_it(tmp_path: Path, name: str, without: str) -> None:
+    """He had switched it to a mode of his sticks, and its motors started under his hands. Who orders it then is
+    obeyed."""
+    async with on_the_ground(tmp_path) as gcs:
+        sim, actor = gcs.sim(name), gcs.actor(name)
+        taken = int(Px4Mode.POSCTL) if name == "v1" else int(CopterMode.LOITER)
+        if without == "a position" and name == "v2":
+            sim.faults.gps_lost = True
+            await asyncio.sleep(10.0)
+        else:
+            sim.faults.refuse_arming = "not now"
+        ordered = asyncio.create_task(gcs.outcome("vehicles.arm", name, wait_s=30.0))
+        await asyncio.sleep(3.3)
+        sim.mode = taken
+        await gcs.until(lambda: actor.vehicle.custom_mode == taken, 3.0)
+        sim.faults.refuse_arming, sim.faults.gps_lost, seen = "", False, gcs.now
+        outcome = await ordered
+        await asyncio.sleep(5.0)
+        mode = actor.vehicle.mode
+        said = f"it was switched to {mode} since, which its pilot flies; order it again to arm it in {mode}"
+        assert said in outcome["message"] and not sim.armed, outcome
+        assert not gcs.commands(seen, name)
+        again = await gcs.outcome("vehicles.arm", name)
+        assert sim.armed or "no manual control input" in again["message"], "a PX4 sees none of his sticks here"

@@ -10,7 +10,7 @@ import pytest
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.vehicle_state import Home
 from support.examples import covered_by_other_flights
-from support.flown import Flown, flown
+from support.flown import FIELD, Flown, flown
 from support.planned import UP_M, run, state, timed
 
 pytestmark = pytest.mark.looptime
@@ -114,6 +114,15 @@ async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: d
         await gcs.done("vehicles.hold")
         assert "a newer order took its place" in (await waits)["message"]
         await gcs.done("vehicles.goto", enu_m=[0.0, 0.0, 15.0])
+        # nor is one in the frame that was another one when it was given: it went 45 m beside
+        await gcs.done("vehicles.land")
+        await gcs.until(lambda: not gcs.actor().vehicle.armed, 180.0)
+        await asyncio.sleep(3.0)
+        await gcs.done("vehicles.takeoff", height_m=15.0, wait_s=30.0)
+        waits = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=[10.0, 0.0, 15.0]))
+        await asyncio.sleep(1.0)
+        await gcs("origin.set", lat_deg=FIELD.lat_deg + 0.0005, lon_deg=FIELD.lon_deg, alt_amsl_m=FIELD.alt_amsl_m)
+        assert "frame was changed" in (await waits)["message"]
         # insisted on, it goes at once
         await gcs.done("vehicles.land")
         await gcs.until(lambda: not gcs.actor().vehicle.armed, 180.0)

@@ -94,7 +94,7 @@ class BroadcastCommand:
 class _Line:
     """One command id: the command in flight, those that wait, and the acks that may still come late."""
 
-    __slots__ = ("ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
+    __slots__ = ("accepted", "ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
 
     def __init__(self) -> None:
         self.lock = asyncio.Lock()
@@ -103,11 +103,13 @@ class _Line:
         self.quiet_until = 0.0
         self.ended_at = -ECHO_ACK_S
         self.quieted = asyncio.Event()
+        self.accepted: Callable[[], None] = lambda: None
+        """`Moves.accepted` of the last one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """Conditions for sending a command that moves the vehicle."""
+    """Conditions for sending a command that moves the vehicle, or arms it."""
 
     wanted: Check
     """False once a newer order has taken its place; called when its turn has come."""
@@ -115,6 +117,18 @@ class Moves:
     """Why it is left to a pilot now, None: it is sent; called then, too, and before each repeat."""
     ended_only: bool = False
     """No newer order but one that ends the flight takes its place."""
+    done: Check = lambda: False
+    """Another order has done it meanwhile, and it is not sent; called when its turn has come."""
+    accepted: Callable[[], None] = lambda: None
+    """Called when the vehicle has accepted it, also after a newer order has taken its place."""
+
+    def outcome_unsent(self) -> Outcome | None:
+        """Its outcome if it is not sent although its turn has come; None: it is sent."""
+        if not self.wanted():
+            return Outcome(False, "cancelled", SUPERSEDED)
+        if (why := self.taken()) is not None:
+            return Outcome.refused(why)
+        return Outcome(True, "accepted", "another order has done it meanwhile") if self.done() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +247,8 @@ class CommandClient:
 
         The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
         vehicle: the best may be the one that loses them. Of the orders `EVERYWHERE` the first one does, too.
-        ``moves``: given for a command that moves the vehicle, which a newer order may replace (`supersede`), or a
-        pilot. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same
+        ``moves``: given for a command that moves or arms the vehicle, which a newer order may replace (`supersede`), or
+        a pilot. An emergency is sent at once. ``with_repeats``: a message sent right after each repeat, over the same
         links (`Step.with_repeats`). ``timers_s``: the waits after each transmission. ``clearance``: see `SendFn`.
         """
         # refuse what cannot be packed
@@ -266,10 +280,8 @@ class CommandClient:
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
-            if moves is not None and not moves.wanted():
-                return Outcome(False, "cancelled", SUPERSEDED)
-            if moves is not None and (why := moves.taken()) is not None:
-                return Outcome.refused(why)
+            if moves is not None and (outcome := moves.outcome_unsent()) is not None:
+                return outcome
             waits_s = tuple(max(wait_s, self._min_retry_s) for wait_s in timers_s)
             if repeat_rule(spec).repeat is Repeat.NEVER:
                 waits_s = (sum(waits_s),)
@@ -348,6 +360,8 @@ class CommandClient:
         line = self._lines.get(ack.command)
         if line is not None and line.late:
             line.late -= 1
+            if ack.result == 0:
+                line.accepted()
             if not line.late:
                 line.quieted.set()
 
@@ -432,6 +446,9 @@ class CommandClient:
             line.late = protocol.outstanding
             line.ended_at = self._loop.time()
             line.quiet_until = protocol.last_sent + LATE_ACK_S
+            line.accepted = (lambda: None) if request.moves is None else request.moves.accepted
+        if outcome.ok and protocol.acks:
+            line.accepted()
         # explain a timeout
         if outcome.result == "timeout" and running.not_taken >= protocol.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)

@@ -75,10 +75,6 @@ class ControlStreams:
         self._raised = True
         await self._request(POSITION, max(rate_hz, self._before_hz))
 
-    def leave_position_rate(self) -> None:
-        """Control did not begin: a radio's plan need not see to the position any more."""
-        self._streams.want_position(None)
-
     def request_aids(self, control_mode: ControlMode) -> None:
         """Have tilt and throttle come faster for attitude, in the background, unless a radio's plan sets the rates."""
         if control_mode is not ControlMode.ATTITUDE or self._streams.planned:
@@ -99,7 +95,7 @@ class ControlStreams:
         self._tasks.start(self._request_origin(), "estimator origin")
 
     def restore(self) -> None:
-        """Control has ended: request the earlier rates again, in the background."""
+        """Control has ended, or did not begin: request the earlier rates again, in the background. Idempotent."""
         if not self._streams.want_position(None) and self._vehicle.connected and self._raised:
             self._raised, self._restored_at = False, self._loop.time()
             self._tasks.start(self._request(POSITION, self._before_hz or None), "position rate")

@@ -13,6 +13,8 @@ attitude, raw: it does not keep a tilt without setpoints   its parameters, read 
 
 from __future__ import annotations
 
+import math
+
 from skygcs.config.control import ControlSettings
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.vehicle import offboard_entry
@@ -33,6 +35,8 @@ class EntryConditions:
         self._orders = order_runner
         self._links = services.links
         self._flown = services.flown
+        self.ours_until = -math.inf
+        """A PX4 may until then show the OFFBOARD in which it followed our own setpoints."""
 
     def check(self, now: float, *, active: bool) -> None:
         """Check all that is known without asking the vehicle. Raises RefusedError if it must not be flown now."""
@@ -40,7 +44,7 @@ class EntryConditions:
         refusal = refusal or offboard_entry.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
-        if refusal is None and not active and self.led_by_another:
+        if refusal is None and not active and self._is_led_by_another(now):
             refusal = f"it is in {self._vehicle.mode} already: another program sends it setpoints; end that first"
         if refusal is None:
             refusal = self._outside_now()
@@ -68,10 +72,14 @@ class EntryConditions:
         if refusal is not None:
             raise RefusedError(refusal)
 
-    @property
-    def led_by_another(self) -> bool:
+    def shows_ours(self, now: float) -> bool:
+        """True if the mode that it shows may yet be that of our own setpoints, which have ended."""
+        return now < self.ours_until and self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
+
+    def _is_led_by_another(self, now: float) -> bool:
         """PX4 is in OFFBOARD only while setpoints come, and obeys each of two streams in turn. GUIDED shows nothing."""
-        return self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
+        following = self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
+        return following and not self.shows_ours(now)
 
     def _outside_now(self) -> str | None:
         """Why it is outside the control fence; None if it is inside, or where it is is not known."""

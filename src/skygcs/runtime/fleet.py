@@ -420,15 +420,17 @@ class Fleet:
         """See `WorldFrame.set_from_vehicle`. Raises TargetError, too."""
         self.world.set_from_vehicle(self.find(target), self._loop.time(), heading=heading, force=force)
 
-    def authority_gained(self, sysid: int) -> None:
-        """Repeat the stream requests to each autopilot of this system: a gate has blocked them until now."""
-        for key in sorted(self._of_system.get(sysid, ())):
-            self.vehicles[key].streams.restart(self._loop.time())
-
-    def authority_lost(self, sysid: int, text: str) -> None:
-        """Call `VehicleActor.authority_lost` of each autopilot of a system."""
-        for key in sorted(self._of_system.get(sysid, ())):
-            self.vehicles[key].authority_lost(text)
+    def authority_changed(self, sysid: int, refusal: str | None) -> None:
+        """A gate has closed a system for this reason, or opened it (None): end the work on each of its autopilots, or
+        repeat its stream requests, which the gate has blocked until now. Each change is an event."""
+        for actor in [self.vehicles[key] for key in sorted(self._of_system.get(sysid, ()))]:
+            if refusal is None:
+                actor.streams.restart(self._loop.time())
+            else:
+                actor.authority_lost(refusal)
+        name = self.configured_name(sysid)
+        text = refusal or f"{name or f'system {sysid}'} may be commanded from here"
+        self._on_event(Event("authority", name, sysid, text, {"held": refusal is None}))
 
     async def preflight(
         self,

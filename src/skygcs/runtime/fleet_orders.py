@@ -28,7 +28,7 @@ from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.returns import Returns, Waiting, read_return_height
 from skygcs.runtime.separation_monitor import SeparationMonitor
-from skygcs.runtime.task_set import ORDER_SERIAL, Asked, TaskSet, ask
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
 
@@ -112,6 +112,7 @@ class Given:
     order: Order
     serial: int
     reports: Reports
+    by_person: bool
     outcomes: dict[str, Any] = field(default_factory=dict)
     ended_by: str = "the client that gave it is gone"
     """Why it ends, if it is cancelled."""
@@ -179,6 +180,7 @@ class FleetOrders:
         /,
         *args: Any,
         reports: Reports | None = None,
+        by_person: bool = True,
         **arguments: Any,
     ) -> dict[str, Outcome]:
         """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
@@ -187,7 +189,8 @@ class FleetOrders:
         vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
         cancelled, the orders of `CARRIED_ON` go on, all others end; `close` ends those with an answer. Raises
         RefusedError for a stop, or a disarming of a duplicate system id, without the confirmation it needs
-        (``confirm``, see `core.vehicle.stop`). ``reports`` gets each vehicle's outcome when it comes.
+        (``confirm``, see `core.vehicle.stop`). ``reports`` gets each vehicle's outcome when it comes. ``by_person``:
+        False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends.
         """
         name = order.__name__
         if self.ends_only and order not in CARRIED_ON:
@@ -200,7 +203,9 @@ class FleetOrders:
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         if order in CARRIED_ON:
             self._turns.taken(actors, name)
-        given = Given(order, ask(), reports or Unreported())  # here: what is carried on begins a turn of the loop later
+        given = Given(
+            order, ask(), reports or Unreported(), by_person
+        )  # here: what is carried on begins a turn of the loop later
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await self._command(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)
@@ -281,17 +286,20 @@ class FleetOrders:
         """Decide what each vehicle is to do; takes out of ``arguments`` what is only for that. Nothing is sent yet."""
         order, vehicles = given.order, [actor for actor in actors if isinstance(actor, VehicleActor)]
         asked = {actor: actor.runner.asked(given.serial) for actor in vehicles}
-        # what each vehicle is to do: places of its own, or why it stays
-        climbing = await self._takeoffs_ended(vehicles, arguments, asked) if order is VehicleActor.goto else {}
-        going = [actor for actor in vehicles if actor not in climbing] if order is VehicleActor.goto else []
-        own_arguments, staying, places = self._going(going, arguments) if going else ({}, {}, {})
-        if order is onboard_orders.upload_plan:
-            own_arguments, staying = await self._arranged(vehicles, arguments)
-        # why an order is not sent: authority, the order of returns, other missions, a newer order meanwhile
-        refusals: dict[Actor, str] = dict((*climbing.items(), *staying.items()))
+        # why it is not sent: a take-off that did not end, authority
+        refusals = dict[Actor, str]()
+        if order is VehicleActor.goto:
+            refusals.update((await self._takeoffs_ended(vehicles, arguments, asked)).items())
         for actor in actors if order is not VehicleActor.stop else ():
             if (why := self._links.authority_refusal(actor.sysid)) is not None:
                 refusals[actor] = why
+        # what each vehicle is to do: places of its own, or why it stays
+        going = [actor for actor in vehicles if order is VehicleActor.goto and actor not in refusals]
+        own_arguments, staying, places = self._going(going, arguments) if going else ({}, {}, {})
+        if order is onboard_orders.upload_plan:
+            own_arguments, staying = await self._arranged(vehicles, arguments)
+        refusals.update(staying.items())
+        # the order of returns, other missions, a newer order meanwhile
         returning = await self._returns(given, vehicles, refusals, arguments) if order is VehicleActor.rtl else {}
         free = [actor for actor in vehicles if actor not in refusals]
         refusals.update((await self._mission_refusals(free, order, arguments)).items())
@@ -324,7 +332,7 @@ class FleetOrders:
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
                     # if one was refused, or waits for the end of a newer order, each gets its own frame
-                    behind = any(vehicle.runner.is_behind(given.serial) for vehicle in vehicles)
+                    behind = any(vehicle.runner.ledger.is_behind(given.serial) for vehicle in vehicles)
                     if not behind and not any(task.done() for task in tasks.values()):
                         self._broadcast(broadcast)
         finally:
@@ -346,6 +354,7 @@ class FleetOrders:
         run as a task of its own; a newer order may have been sent between its making and its start."""
         order = given.order
         ORDER_SERIAL.set(given.serial)
+        ASKED_NOW.set(given.by_person)
         if isinstance(actor, VehicleActor):
             late = self._late(order, {actor: Asked(given.serial)})
             if actor in late:
@@ -441,8 +450,11 @@ class FleetOrders:
         order: the mode in ``asked`` is renewed when the take-off of that vehicle has ended."""
 
         async def ended(actor: VehicleActor) -> str | None:
+            given_in = actor.vehicle.origin_generation
             why = await actor.takeoffs.ended()
             asked[actor] = actor.runner.asked(asked[actor].serial)
+            if why is None and "enu_m" in arguments and actor.vehicle.origin_generation != given_in:
+                return "the fleet's frame was changed while it waited for the end of its take-off: order it anew"
             return why
 
         waiting = {actor: why for actor in actors if (why := actor.takeoffs.under_way()) is not None}
@@ -466,28 +478,30 @@ class FleetOrders:
     ]:
         """Split a goto: the arguments of each vehicle's own, why some stay, and the places of those that go.
 
-        One that would come too close to a vehicle that is not sent with it stays, unless ``force``. ``together``:
-        vehicles that the caller keeps apart from these itself.
+        One that would come too close to a vehicle that is not sent with it stays, unless ``force``, and is in the way
+        of the others then. ``together``: vehicles that the caller keeps apart from these itself.
         """
         together = arguments.pop("together", None)
+        apart = frozenset(a.vehicle.key for a in (() if together is None else self._targets.resolve(together)))
         own_arguments, staying = self._formation(actors, arguments)
-        apart = [*actors, *(() if together is None else self._targets.resolve(together))]
-        keys = frozenset(actor.vehicle.key for actor in apart)
         places: dict[VehicleActor, tuple[float, float, float]] = {}
-        for actor in actors:
-            if actor in staying:
-                continue
+        for actor in (actor for actor in actors if actor not in staying):
             where = {**arguments, **own_arguments.get(actor, {})}
             try:
-                to = orders.destination(actor.vehicle, self._loop.time(), limit_m=actor.config.goto_limit_m, **where)
+                to = actor.destination(**where)
             except RefusedError:
                 continue  # the order itself says why
-            place = (to.lat_deg, to.lon_deg, to.alt_amsl_m)
-            why = None if where.get("force") else self._monitor.goto_refusal(actor.vehicle, place, keys)
-            if why is None:
-                places[actor] = place
-            else:
-                staying[actor] = why
+            places[actor] = (to.lat_deg, to.lon_deg, to.alt_amsl_m)
+        # each that stays is one more in the way of those that go
+        stays: dict[VehicleActor, str] = {}
+        while not arguments.get("force"):
+            keys = apart | {actor.vehicle.key for actor in places}
+            why = {actor: self._monitor.goto_refusal(actor.vehicle, place, keys) for actor, place in places.items()}
+            stays = {actor: reason for actor, reason in why.items() if reason is not None}
+            if not stays:
+                break
+            staying |= stays
+            places = {actor: place for actor, place in places.items() if actor not in stays}
         for actor, place in places.items():
             self._monitor.sent_to(actor, place)
         return own_arguments, staying, places

@@ -69,7 +69,7 @@ class MissionTurns:
         if not 1 <= len(actors) <= MAX_VEHICLES:
             raise RefusedError(f"one after another: 1 to {MAX_VEHICLES} vehicles, not {len(actors)}")
         self._round, self._at = list(actors), 0
-        self._numbers = {actor.vehicle.key: actor.runner.effective for actor in actors}
+        self._numbers = {actor.vehicle.key: actor.runner.ledger.effective for actor in actors}
         self._were_in = {actor.vehicle.key: hands(actor.vehicle, self._loop.time()) for actor in actors}
         first, *others = self._round
         begun: asyncio.Future[Outcome] = self._loop.create_future()
@@ -134,7 +134,7 @@ class MissionTurns:
             if not outcome.ok:
                 self._report_end(f"{actor.name} did not start: {outcome.message}")
                 return
-            effective, number = actor.runner.effective, outcome.order_number
+            effective, number = actor.runner.ledger.effective, outcome.order_number
             self._numbers[actor.vehicle.key] = effective if number is None else number  # a newer one is not ours
             if actor is self._round[-1]:
                 return
@@ -161,7 +161,7 @@ class MissionTurns:
             if taken and decision.next != "end":
                 self._report_end("; ".join(taken))
                 return False
-            if decision.next == "start" and any(a.runner.moving for a in left):
+            if decision.next == "start" and any(a.runner.ledger.moving for a in left):
                 continue  # what is being sent to one of them may be refused
             match decision.next:
                 case "start":
@@ -176,7 +176,7 @@ class MissionTurns:
     def _taken(self, actor: VehicleActor, now: float) -> str | None:
         """That one that waits was ordered something else, or is its pilot's now; None: neither."""
         key = actor.vehicle.key
-        if actor.runner.effective > self._numbers[key]:
+        if actor.runner.ledger.effective > self._numbers[key]:
             return f"{actor.name} was ordered something else"
         why = taken_since(actor.vehicle, now, self._were_in[key])
         return None if why is None else f"{actor.name}: {why}"
@@ -193,7 +193,7 @@ class MissionTurns:
             armed=vehicle.armed is not False,
             complete=actor.missions.complete,
             failsafe=vehicle.failsafe,
-            ordered=actor.runner.effective > self._numbers[vehicle.key],
+            ordered=actor.runner.ledger.effective > self._numbers[vehicle.key],
             lands=ends_on_ground(items, vehicle.mission_return_rule.with_mission({item.command for item in items})),
             mode=mode,
             ending=actor.missions.begun(last_moving(items)),

@@ -11,7 +11,6 @@ on.
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -74,9 +73,8 @@ PAUSE_S = 1.0
 MEASURED_PINGS = 4
 """Pings of the burst in the first second, after which the measured round trip is used."""
 
-HAND_OVER_S = 5.0
-"""The longest wait of an engagement for an order in progress: its acknowledgement and its mode in a heartbeat, of which
-two may be lost."""
+LOOK_S = 0.5
+"""Between two looks whether an order in progress has ended, if nothing is heard of the vehicle meanwhile."""
 
 LATE_ENTRY_S = 2.5
 """After a mode was commanded in vain, or given up while the command was on its way, the vehicle may still take it: the
@@ -150,7 +148,8 @@ class OffboardEngagement:
         """Why control ends as soon as the order that takes over has taken effect; None: no order takes over."""
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
-        self._ended_at = -math.inf
+        self._entering = 0
+        """Calls of `engage` in progress."""
 
     @property
     def flying(self) -> bool:
@@ -173,14 +172,27 @@ class OffboardEngagement:
         """The whole sequence: checks, faster position, a stream of setpoints, the mode, its verification; undone on
         failure. While it flies already, only the control mode changes. ``force``: even if the vehicle would do
         something dangerous when the setpoints stop."""
-        started, turn = self._loop.time(), self._turn
+        self._entering += 1
         try:
-            # checks
+            return await self._engage(control_mode, force=force)
+        finally:
+            self._entering -= 1
+            if not self._entering and not self.controller.active:
+                self._streams.restore()  # however it ended
+
+    async def _engage(self, control_mode: ControlMode, *, force: bool) -> Outcome:
+        started = self._loop.time()
+        try:
+            # an order that takes over has an end before, and a later one is not overtaken
             await self._mode_of_its_own()
             await self._handed_over()
+            if await self._orders.late("control") is not None:
+                return _superseded(self._loop.time() - started)
+            # checks
+            turn = self._turn
             back_to = offboard_entry.settled_mode(self._vehicle)  # what is switched from here on is switched by others
             active = self.controller.active
-            self._conditions.check(started, active=active)
+            self._conditions.check(self._loop.time(), active=active)
             if not force and not active:
                 self._conditions.check_radio()
             await self._conditions.check_parameters(control_mode, active=active, force=force)
@@ -204,8 +216,6 @@ class OffboardEngagement:
             self._begin(control_mode, force=force)
             self._streams.request_aids(control_mode)
         except RefusedError as error:
-            if not self.controller.active:
-                self._streams.leave_position_rate()
             return Outcome.refused(str(error))
         # the mode and its verification
         outcome: Outcome | None = None
@@ -257,11 +267,15 @@ class OffboardEngagement:
         """Move the reference. Refused outside the fence, and unless it flies by setpoints."""
         if not self.flying:
             return self._not_flying()
-        if (why := self._own_controller() or self._outside(place)) is not None:
+        if (why := self.why_not_to(place)) is not None:
             return Outcome.refused(why)
         self.controller.fly_to(place, yaw_enu_rad)
         control_mode = self.controller.control_mode or self.controller.wanted
         return Outcome(True, "accepted", f"flying there by {control_mode.value} setpoints")
+
+    def why_not_to(self, place: GeodeticPosition) -> str | None:
+        """Why the reference may not be moved there; None: it may."""
+        return self._own_controller() or self._outside(place)
 
     def follow(self, setpoint: Setpoint, valid_s: float, *, given_at: float | None = None) -> Outcome:
         """One setpoint of a client's stream. ``given_at``: the time it is for, if it was under way since; it is moved
@@ -425,16 +439,13 @@ class OffboardEngagement:
 
     async def _mode_of_its_own(self) -> None:
         """Wait while a PX4 may still show the OFFBOARD in which it followed our own setpoints."""
-        left_s = self._ended_at + OURS_S - self._loop.time()
-        if left_s > 0.0 and not self.controller.active:
-            await self._commands.until(lambda: not self._conditions.led_by_another, left_s)
+        if not self.controller.active:
+            await self._commands.until(lambda: not self._conditions.shows_ours(self._loop.time()), OURS_S)
 
     async def _handed_over(self) -> None:
-        """Wait until the order that takes over has taken effect, or has failed; one that takes longer is replaced."""
-        if self.successor is None:
-            return
-        if not await self._commands.until(lambda: self.successor is None, HAND_OVER_S) and self.successor is not None:
-            self.release(SUPERSEDED)
+        """Wait until the order that takes over has an outcome: it took effect, or it did not."""
+        while self.successor is not None:
+            await self._commands.until(lambda: self.successor is None, LOOK_S)
 
     def _warn_of_loss(self) -> None:
         """Say what the vehicle does if this computer dies, where that is dangerous."""
@@ -587,7 +598,8 @@ class OffboardEngagement:
         if not self.controller.active and self.clock.running:
             self.clock.stop()
             self.successor = None
-            self._ended_at = self._orders.sent_before_at = self._loop.time()
+            self._orders.sent_before_at = self._loop.time()
+            self._conditions.ours_until = self._orders.sent_before_at + OURS_S
             self._displace()
             self._trace.end()
             self._streams.restore()

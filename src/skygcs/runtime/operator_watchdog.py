@@ -81,4 +81,4 @@ class OperatorWatchdog:
     async def _order(self, fired: Fired, names: list[str]) -> None:
         # each vehicle reports its outcome as an event; nobody is there for one whose way home does not become clear
         at_end: dict[str, Any] = {"at_end": "land"} if fired.action == "rtl" else {}
-        await self._fleet.orders.command_all(names, ACTIONS[fired.action], **at_end)
+        await self._fleet.orders.command_all(names, ACTIONS[fired.action], by_person=False, **at_end)

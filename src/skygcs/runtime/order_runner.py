@@ -19,9 +19,10 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import arms, firmware_name
-from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S
+from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
-from skygcs.core.vehicle.order_plan import VERIFY_S, GoesThere, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.order_ledger import REFUSALS, OrderLedger
+from skygcs.core.vehicle.order_plan import VERIFY_S, Expectation, GoesThere, ModeIn, Plan, Step, TargetProof
 from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
 from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -30,12 +31,15 @@ from skygcs.errors import NotReadyError, RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import EVERYWHERE, LATE_ACK_S, SUPERSEDED, CommandClient, Moves
 from skygcs.runtime.flight_elsewhere import FlownBySetpoints
-from skygcs.runtime.task_set import ORDER_SERIAL, OWN, Asked, ask, numbered
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, OWN, Asked, ask, numbered
 
 MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
 )
 """Orders that replace the one in progress."""
+
+ARMING = frozenset({"arm"})
+"""Orders that arm and move nothing yet."""
 
 ENDING = EVERYWHERE | {"stop"}
 """Orders that end a flight; they replace an arming in progress, too."""
@@ -63,9 +67,6 @@ ENDS_MOTION = frozenset({"hold", "stop", "release"})
 UNSUPPORTED = 3
 """MAV_RESULT_UNSUPPORTED."""
 
-REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
-"""Outcomes of a refusal by the vehicle."""
-
 UNHEARD = frozenset({"timeout", "lost"})
 """Outcomes of an order that did not reach the vehicle, or whose effect the vehicle does not show."""
 
@@ -79,16 +80,18 @@ Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
 class _PlanInProgress:
     """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
 
-    __slots__ = ("clearance", "end_requested", "number", "plan", "queue", "step", "were_in")
+    __slots__ = ("asked_now", "clearance", "end_requested", "number", "plan", "queue", "step", "were_in")
 
     def __init__(self, plan: Plan, number: int, clearance: Clearance, were_in: Hands) -> None:
         self.plan = plan
         self.clearance = clearance
         """The outgoing gate's leave for what it sends."""
         self.number = number
-        """Value of `OrderRunner.number` at its start; if that has changed, a newer order moves the vehicle."""
+        """Number of the newest order at its start; if that has changed, a newer order moves the vehicle."""
         self.were_in = were_in
         """Whose hands the vehicle was in when the plan began: a pilot that takes it later keeps it."""
+        self.asked_now = ASKED_NOW.get()
+        """A person gives this order; noted here, as the conditions of its commands are looked at by timers, too."""
         self.queue = list(plan.steps)
         self.step: Step | None = None
         self.end_requested = False
@@ -99,7 +102,7 @@ class _PlanInProgress:
 
 
 class OrderRunner:
-    """The orders of one vehicle. ``number`` counts those that move it."""
+    """The orders of one vehicle; which of them counts is in its ``ledger``."""
 
     def __init__(
         self,
@@ -111,24 +114,15 @@ class OrderRunner:
         order_refusal: Callable[[Plan], str | None] = lambda plan: None,
         first_number: int = 0,
     ) -> None:
-        """``order_refusal``: why a plan is not executed; None: it may be. ``first_number``: the numbers follow on this;
-        above those of all runners of this vehicle before, so that a number of one of those names no order here."""
+        """``order_refusal``: why a plan is not executed; None: it may be. ``first_number``: see `OrderLedger`."""
         # state that others read, and callbacks
-        self.number = self._first_number = first_number
-        self.effective_serial = OWN
-        """Latest serial of the orders that move the vehicle, or may: as `effective`."""
-        self.effective_order = ""
-        """Name of the order ``effective``."""
-        self._in_flight: dict[int, int] = {}
-        """Plans in progress that move the vehicle: their serials by number."""
+        self.ledger = OrderLedger(first_number)
         self._under_way: Counter[str] = Counter()
         self.flown_by: FlownBySetpoints | None = None
         """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
         self.on_carried_out: Callable[[Plan], None] = lambda plan: None
         """Called with each plan that moves the vehicle and that it has accepted. A change to the mode that it was in
         already is none."""
-        self.effective = first_number
-        """``number`` of the last plan that moves the vehicle, or may: it was sent, and not refused by the vehicle."""
         self.sent_before_at = -math.inf
         """Time at which the last setpoint, or the last command of another order than a goto, went out: it may reach the
         vehicle after a goto that was sent later."""
@@ -145,12 +139,6 @@ class OrderRunner:
         """Orders that move the vehicle and are repeated until it accepts them (`retry`)."""
         self._order_ended = asyncio.Event()
         """Set at each end of a plan in progress, or of an order that is repeated."""
-        self._ending_number = first_number
-        """``number`` of the last order that ends a flight."""
-        self._armings = 0
-        """Commands in progress that arm."""
-        self._armed_within = -math.inf, -math.inf
-        """When the last one that may have had an effect was sent, and until when a heartbeat may yet show it."""
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
         """Plans that can be undone: each has a task of its own, which undoes it even if its caller is cancelled."""
@@ -176,55 +164,61 @@ class OrderRunner:
         """Note that an order is asked for which does not go out at once. ``serial``: None: that of the present task,
         or, in an order of the daemon's own, that of the last order so far."""
         vehicle = self._vehicle
-        changing = self.moving > 0 or reports_takeoff(vehicle, self._loop.time())
-        serial = (ORDER_SERIAL.get() or self.effective_serial) if serial is None else serial
-        return Asked(serial, None if changing else vehicle.custom_mode, self.number)
+        changing = self.ledger.moving > 0 or reports_takeoff(vehicle, self._loop.time())
+        serial = (ORDER_SERIAL.get() or self.ledger.effective_serial) if serial is None else serial
+        return Asked(serial, None if changing else vehicle.custom_mode, self.ledger.number)
 
     def overtaken(self, asked: Asked, *, by_mode: bool = True) -> str | None:
         """Why an order that has waited since ``asked`` must not be sent any more; None: it may be. An order that was
         asked for later moves the vehicle, or may, or, with ``by_mode``, the mode has changed. Neither orders of the
         daemon's own count, nor those that the vehicle has refused."""
         switched = self._switched(asked) if by_mode else None
-        if self.effective_serial > asked.serial or (switched is not None and self.is_behind(asked.serial)):
+        if self.ledger.effective_serial > asked.serial or (
+            switched is not None and self.ledger.is_behind(asked.serial)
+        ):
             return SUPERSEDED
         return switched
 
     def taken_by_pilot(self, asked: Asked) -> str | None:
         """Why what changes the mode must not be sent any more: the mode was switched since ``asked``, and neither by an
         order of ours nor by a failsafe of the vehicle. None: it may be."""
-        ours = self.number != asked.number or self._vehicle.failsafe
+        ours = self.ledger.number != asked.number or self._vehicle.failsafe
         return None if ours else self._switched(asked)
 
     def _hands(self) -> Hands:
         return hands(self._vehicle, self._loop.time())
 
-    def _taken(self, plan: Plan, before: Hands) -> str | None:
+    def _taken(self, plan: Plan, before: Hands, *, asked_now: bool) -> str | None:
         """Why a plan is left to the pilot of a vehicle that was in the hands ``before`` when it began; None: it is
-        sent. One that ends the flight always is."""
+        sent. One that ends the flight always is if a person gives it (``asked_now``)."""
         if self._vehicle.mode in plan.spares:
             return f"it is in {self._vehicle.mode}"
-        if plan.order not in MOVING or plan.order in EVERYWHERE or plan.emergency or plan.final:
+        if _arms(plan) and (why := disarmed_since(self._vehicle, before.at)) is not None:
+            return why
+        if plan.emergency or plan.final or (plan.order in EVERYWHERE and asked_now):
             return None
-        return taken_since(self._vehicle, self._loop.time(), before)
+        return self._pilot_since(plan.order, before)
+
+    def _taken_in(self, run: _PlanInProgress) -> str | None:
+        return self._taken(run.plan, run.were_in, asked_now=run.asked_now)
+
+    def _pilot_since(self, order: str, before: Hands) -> str | None:
+        """`taken_since` of an order that moves the vehicle or arms it; a mode that the vehicle has accepted from us and
+        that shows late is not its pilot's."""
+        vehicle = self._vehicle
+        if order not in ARMING | MOVING:
+            return None
+        if self.ledger.is_own_mode(vehicle.custom_mode, vehicle.mode_changes, vehicle.mode_since):
+            before = before._replace(stick_mode=vehicle.mode)
+        if order in MOVING:
+            return taken_since(vehicle, self._loop.time(), before)
+        why = taken_since(vehicle, self._loop.time(), before._replace(armed=True))
+        return why and f"{why}; order it again to arm it in {vehicle.mode}"
 
     def _switched(self, asked: Asked) -> str | None:
         if asked.custom_mode is None or self._vehicle.custom_mode == asked.custom_mode:
             return None
         return f"it was switched to {self._vehicle.mode} while this order waited"
-
-    @property
-    def moving(self) -> int:
-        """Plans in progress that move the vehicle."""
-        return len(self._in_flight)
-
-    @property
-    def sends(self) -> str:
-        """Name of the newest order that moves the vehicle, while it is being sent; empty: none is."""
-        return self._newest.order if self._newest is not None and self.number in self._in_flight else ""
-
-    def is_behind(self, serial: int) -> bool:
-        """True if an order that was asked for later moves the vehicle, or is about to."""
-        return max(self.effective_serial, *self._in_flight.values(), OWN) > serial
 
     async def late(self, order: str = "goto") -> str | None:
         """Why an order of the present task, which moves the vehicle, must not be sent: one that was asked for later
@@ -233,28 +227,28 @@ class OrderRunner:
         serial = ORDER_SERIAL.get()
         if not serial or order not in MOVING or order == "stop":
             return None
-        while self.is_behind(serial) and self.effective_serial <= serial:
+        while self.ledger.is_behind(serial) and self.ledger.effective_serial <= serial:
             self._order_ended.clear()
             await self._order_ended.wait()
-        return SUPERSEDED if self.effective_serial > serial else None
+        return SUPERSEDED if self.ledger.effective_serial > serial else None
 
     def note_effect(self) -> None:
         """The order of the present task moves the vehicle without a plan: under control by setpoints."""
         serial = ORDER_SERIAL.get()
-        self.effective_serial = max(self.effective_serial, ask() if serial is None else serial)
+        self.ledger.note_effect(ask() if serial is None else serial)
 
     async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
         """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
         one, by whatever door it came: its end is awaited, and only if it was not sent, or the vehicle has refused it,
         is this one given: whose answers were lost, or whose client is gone, may have moved the vehicle."""
-        if not self._first_number <= number <= self.number:
+        if not self.ledger.knows(number):
             unknown = f"it has no order {number} of this run of skygcs; without a number hold ends whatever moves it"
             return self.finish(order, Outcome.refused(unknown))
-        while self.moving or self._waiting:
+        while self.ledger.moving or self._waiting:
             self._order_ended.clear()
             await self._order_ended.wait()
-        if self.effective > number:
-            newer = f"a newer order moves it, or may move it (number {self.effective})"
+        if self.ledger.effective > number:
+            newer = f"a newer order moves it, or may move it (number {self.ledger.effective})"
             return self.finish(order, Outcome.refused(newer))
         return await self.run(order, planner)
 
@@ -300,8 +294,10 @@ class OrderRunner:
         before = self._hands()
         try:
             plan = planner(self._loop.time())
-            if not plan.emergency and self.is_behind(ORDER_SERIAL.get() or OWN):
-                if (why := await self.late(plan.order) or self._taken(plan, before)) is not None:
+            if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
+                if (
+                    why := await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
+                ) is not None:
                     return Outcome.refused(why)
                 plan = planner(self._loop.time())
         except NotReadyError as error:
@@ -321,7 +317,7 @@ class OrderRunner:
         `_took_effect`. If none has, it goes on holding: a vehicle that denies an order is still flown. A goto that is
         carried out in the present mode, as an ArduCopter's in GUIDED, takes over at once: a setpoint that came after it
         would take its place."""
-        number = self.number + 1
+        number = self.ledger.number + 1
         outcome: Outcome | None = None
         flown_by.hand_over(reason)
         if plan.order == "goto" and not self._changes_mode(plan):
@@ -329,7 +325,7 @@ class OrderRunner:
         try:
             outcome = await self.execute(plan)
         finally:
-            if self.number == number:  # else the newer order has it handed over
+            if self.ledger.number == number:  # else the newer order has it handed over
                 if outcome is not None and outcome.ok:
                     flown_by.taken_over()
                 else:
@@ -366,25 +362,17 @@ class OrderRunner:
             return Outcome.refused(str(error))
         if plan.order not in MOVING:
             return await self._execute(plan, clearance)
-        self.number += 1
-        self._newest = plan
-        if plan.order in ENDING:
-            self._ending_number = self.number
-        self._commands.supersede(_commands(plan), ends_flight=plan.order in ENDING)
-        number, mode = self.number, self._vehicle.custom_mode
-        serial = self._in_flight[number] = ORDER_SERIAL.get() or OWN
+        self._newest, mode, ends_flight = plan, self._vehicle.custom_mode, plan.order in ENDING
+        self._commands.supersede(_commands(plan), ends_flight=ends_flight)
+        number = self.ledger.begins(plan.order, ORDER_SERIAL.get() or OWN, ends_flight=ends_flight)
         ended: Outcome | None = None
         try:
             ended = await self._execute(plan, clearance)
         finally:
-            del self._in_flight[number]
-            if _may_have_effect(ended):
-                if number > self.effective:
-                    self.effective, self.effective_order = number, plan.order
-                self.effective_serial = max(self.effective_serial, serial)
+            self.ledger.ended(number, ended)
             self._order_ended.set()
         outcome = replace(ended, order_number=number)
-        if outcome.ok and self.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
+        if outcome.ok and self.ledger.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
             self.on_carried_out(plan)
         return outcome
 
@@ -401,7 +389,7 @@ class OrderRunner:
         return None
 
     async def _execute(self, plan: Plan, clearance: Clearance) -> Outcome:
-        run = _PlanInProgress(plan, self.number, clearance, self._hands())
+        run = _PlanInProgress(plan, self.ledger.number, clearance, self._hands())
         if all(step.undo is None for step in plan.steps[:-1]):
             return await self._steps(run)
         if self._ending:
@@ -458,7 +446,7 @@ class OrderRunner:
                 continue
             outcome = await self._persist(step, plan, run)
             # ended by its caller or by the shutdown meanwhile
-            if run.ended() and number == self.number:
+            if run.ended() and number == self.ledger.number:
                 done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
                 return await self._ended(run, done, max(attempts, outcome.attempts), started)
             attempts = max(attempts, outcome.attempts)  # steps are not repeats of each other
@@ -467,26 +455,26 @@ class OrderRunner:
             if outcome.result == "unsupported" and step.instead:
                 queue[:0] = step.instead
                 continue
-            if not outcome.ok and step.optional and number == self.number:
+            if not outcome.ok and step.optional and number == self.ledger.number:
                 continue
             # failed: undo what was done, unless a newer order flies the vehicle now
             if not outcome.ok:
                 outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
-                if number == self.number:
+                if number == self.ledger.number:
                     message += await self._undo(done, run)
                 elapsed_s = self._loop.time() - started
                 return replace(
                     outcome, message=message, attempts=attempts, elapsed_s=elapsed_s, status_texts=tuple(texts)
                 )
             done.append(step)
-            if number == self.number:
+            if number == self.ledger.number:
                 self._took_effect(step, run)
             # superseded between two steps
-            if queue and number != self.number:
+            if queue and number != self.ledger.number:
                 text = f"a newer order took its place after {step.name!r}"
                 return Outcome(False, "cancelled", text, attempts, self._loop.time() - started, tuple(texts))
-        newer = f"; {SUPERSEDED} since" if plan.order in MOVING and number != self.number else ""
+        newer = f"; {SUPERSEDED} since" if plan.order in MOVING and number != self.ledger.number else ""
         return Outcome(True, "accepted", plan.done + newer, attempts, self._loop.time() - started, tuple(texts))
 
     def _took_effect(self, step: Step, run: _PlanInProgress) -> None:
@@ -498,7 +486,7 @@ class OrderRunner:
 
     async def _ended(self, run: _PlanInProgress, done: list[Step], attempts: int, started: float) -> Outcome:
         """The outcome of a plan that was cancelled before its last step."""
-        undone = await self._undo(done, run) if run.number == self.number else ""
+        undone = await self._undo(done, run) if run.number == self.ledger.number else ""
         rest = run.queue[-1].name if run.queue else "the last step"
         return Outcome(False, "cancelled", f"cancelled before {rest}{undone}", attempts, self._loop.time() - started)
 
@@ -521,7 +509,7 @@ class OrderRunner:
                 outcome = await self._proved(step, step.proof, plan, run, outcome)
             attempts += outcome.attempts
             elapsed_s = self._loop.time() - started
-            newer = run.number != self.number and not plan.final
+            newer = run.number != self.ledger.number and not plan.final
             if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
                 return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
             self.report_progress(plan.order, None)
@@ -534,7 +522,7 @@ class OrderRunner:
             return duplicate_refusal(self._vehicle)
         if (why := self._order_refusal(plan)) is not None:
             return Outcome.refused(why)
-        if (why := self._taken(plan, run.were_in)) is not None:
+        if (why := self._taken_in(run)) is not None:
             return Outcome.refused(why)
         if step.message is not None:
             return await self._message_step(step, run)
@@ -552,7 +540,7 @@ class OrderRunner:
                 emergency=plan.emergency,
                 satisfied=met,
                 on_report=lambda percent: self.report_progress(plan.order, percent),
-                moves=self._moves(spec, run),
+                moves=self._moves(spec, run, expect),
                 with_repeats=step.with_repeats,
                 clearance=run.clearance,
             )
@@ -560,45 +548,55 @@ class OrderRunner:
         # acknowledged: wait until the state shows it
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome
-        if await self._commands.until(lambda: met() or self.number != number or run.ended(), step.expect_s):
+        if await self._commands.until(lambda: met() or self.ledger.number != number or run.ended(), step.expect_s):
             return outcome
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
 
-    def _moves(self, spec: CommandSpec, run: _PlanInProgress) -> Moves | None:
+    def _moves(self, spec: CommandSpec, run: _PlanInProgress, expect: Expectation | None) -> Moves | None:
         """Conditions for the command of a plan. An arming moves nothing yet: it stands beside newer orders, but for one
         that ends the flight."""
-        plan, number = run.plan, run.number
-        if plan.order == "arm":
-            return Moves(lambda: self._ending_number <= number, ended_only=True)
+        plan, number, mode_changes = run.plan, run.number, self._vehicle.mode_changes
+
+        def taken() -> str | None:
+            return self._taken_in(run)
+
+        def armed() -> bool:
+            return arms(spec) and self._armed_since(run.were_in.at)
+
+        if _arms(plan) and plan.order not in MOVING:
+            return Moves(lambda: not self.ledger.flight_ended_since(number), taken, ended_only=True, done=armed)
         if plan.order not in MOVING or plan.final:
             return None
 
         def wanted() -> bool:
-            return self.number == number or (self._newest is not None and spec in _commands(self._newest))
+            return self.ledger.number == number or (self._newest is not None and spec in _commands(self._newest))
 
-        return Moves(wanted, lambda: self._taken(plan, run.were_in))
+        def accepted() -> None:
+            if isinstance(expect, ModeIn):
+                self.ledger.mode_accepted(expect.custom_modes, mode_changes, self._loop.time() + VERIFY_S)
+
+        return Moves(wanted, taken, done=armed, accepted=accepted)
+
+    def _armed_since(self, at: float) -> bool:
+        return self._vehicle.armed and self._vehicle.armed_at > at
 
     @contextmanager
     def _arming(self, spec: CommandSpec) -> Iterator[Callable[[Outcome], None]]:
         """While the command is sent, and until heartbeats have followed, the vehicle counts as one that may be armed,
-        if the command arms. The function that it yields gets the outcome; without one the command may have arrived. One
-        that had no effect leaves what others, before it or beside it, may have."""
+        if the command arms. The function that it yields gets the outcome; without one the command may have arrived."""
         outcomes: list[Outcome | None] = [None]
         if not arms(spec):
             yield outcomes.append
             return
         vehicle = self._vehicle
-        self._armings += 1
-        vehicle.arming_at, vehicle.arming_until = self._loop.time(), math.inf
+        self.ledger.arming_begins(self._loop.time())
+        vehicle.arming_at, vehicle.arming_until = self.ledger.arming
         try:
             yield outcomes.append
         finally:
-            self._armings -= 1
-            if _may_have_effect(outcomes[-1]):
-                self._armed_within = vehicle.arming_at, self._loop.time() + RECENTLY_ARMED_S
-            if not self._armings:
-                vehicle.arming_at, vehicle.arming_until = self._armed_within
+            self.ledger.arming_ended(self._loop.time(), outcomes[-1])
+            vehicle.arming_at, vehicle.arming_until = self.ledger.arming
 
     async def _proved(
         self, step: Step, proof: TargetProof, plan: Plan, run: _PlanInProgress, accepted: Outcome
@@ -610,7 +608,7 @@ class OrderRunner:
         again = step if proof.again is None else replace(step, command=proof.again, instead=())
 
         def newer() -> bool:
-            return self._ending or self.number != run.number
+            return self._ending or self.ledger.number != run.number
 
         for repeats_left in range(PROOF_REPEATS, -1, -1):
             # what was sent before may come after it
@@ -657,7 +655,7 @@ class OrderRunner:
 
         while True:
             # send
-            if (why := self._taken(run.plan, run.were_in)) is not None:
+            if (why := self._taken_in(run)) is not None:
                 return Outcome.refused(why)
             if not self._commands.transmit(name, values, clearance=run.clearance):
                 return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
@@ -666,11 +664,11 @@ class OrderRunner:
                 return Outcome(True, "accepted", "sent", attempts)
             # wait for the answer
             left_s = started + step.expect_s - self._loop.time()
-            await self._commands.until(lambda: self.number != number or answered(), min(RESEND_S, left_s))
+            await self._commands.until(lambda: self.ledger.number != number or answered(), min(RESEND_S, left_s))
             elapsed_s = self._loop.time() - started
             if answered():
                 return Outcome(True, "accepted", "answered", attempts, elapsed_s)
-            if self.number != number:
+            if self.ledger.number != number:
                 return Outcome(False, "cancelled", SUPERSEDED, attempts, elapsed_s)
             if left_s <= RESEND_S:
                 unmet = step.expect.unmet(self._vehicle, self._loop.time())
@@ -700,7 +698,7 @@ class OrderRunner:
             return heard and model_of(self._vehicle, now).not_disarmed is None
 
         def newer() -> bool:
-            return self.number != run.number
+            return self.ledger.number != run.number
 
         if isinstance(undo.expect, ModeIn) and not await self._commands.until(lambda: shown() or newer(), VERIFY_S):
             return Outcome.refused("no heartbeat has shown it disarmed since")
@@ -717,7 +715,7 @@ class OrderRunner:
         started, were_in = self._loop.time(), self._hands()
         attempts = 0
         while True:
-            tried_at, before = self._loop.time(), self.number
+            tried_at, before = self._loop.time(), self.ledger.number
             outcome = await self.attempt(planner)
             attempts += outcome.attempts
             outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
@@ -726,16 +724,20 @@ class OrderRunner:
             if todo is not None:
                 return replace(outcome, message=f"{outcome.message}; {todo}")
             # the last attempt: accepted, refused for good, superseded, or out of time
-            superseded = self.number > before + (order in MOVING)
+            superseded = self.ledger.number > before + (order in MOVING)
             over = superseded or tried_at + RETRY_S > started + wait_s
             if over or outcome.ok or outcome.result in FINAL:
                 return outcome
             # wait for the next attempt
-            before = self.number
+            before = self.ledger.number
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
-            if self.number != before:
+            if self.ledger.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
-            if order in MOVING and (why := taken_since(self._vehicle, self._loop.time(), were_in)) is not None:
+            if order in ARMING and (why := disarmed_since(self._vehicle, started)) is not None:
+                return replace(outcome, result="refused", message=f"refused: {why}")
+            if order in ARMING and self._armed_since(started):
+                return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
+            if (why := self._pilot_since(order, were_in)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
 
     def _is_ambiguous(self, plan: Plan) -> bool:
@@ -761,11 +763,8 @@ def duplicate_refusal(vehicle: Vehicle) -> Outcome:
     return Outcome(False, "refused", f"refused: {text}")
 
 
-def _may_have_effect(outcome: Outcome | None) -> bool:
-    """True unless an order was not sent, or the vehicle has refused it. None: its caller was cancelled."""
-    if outcome is None or outcome.ok:
-        return True
-    return outcome.attempts > 0 and outcome.result not in REFUSALS | {"refused"}
+def _arms(plan: Plan) -> bool:
+    return any(arms(spec) for spec in _commands(plan))
 
 
 def _commands(plan: Plan) -> list[CommandSpec]:

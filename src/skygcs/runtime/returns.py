@@ -347,19 +347,19 @@ class Returns:
         """True if it may be ordered something now. Drops one that something else has taken; see the table."""
         if not self._is_current(waits):
             return False
-        actor, vehicle, runner = waits.actor, waits.actor.vehicle, waits.actor.runner
+        actor, vehicle, ledger = waits.actor, waits.actor.vehicle, waits.actor.runner.ledger
         if not vehicle.connected:
             return False
-        if actor.order_number != waits.order_number and runner.moving:
+        if actor.order_number != waits.order_number and ledger.moving:
             return False  # that may be refused
-        if runner.effective > waits.order_number and runner.effective_serial > waits.serial:
-            text = f"it does not wait any more to return: it was ordered something else ({runner.effective_order})"
+        if ledger.effective > waits.order_number and ledger.effective_serial > waits.serial:
+            text = f"it does not wait any more to return: it was ordered something else ({ledger.effective_order})"
             self._drop(waits, text)
         elif vehicle.mode in COMING_HOME:
             self._drop(waits, f"it does not wait any more: it is in {vehicle.mode}")
         elif not is_flying(vehicle, self._loop.time()):
             self._drop(waits, "it does not wait any more to return: it is down")
-        elif runner.effective > waits.order_number and vehicle.mode in HOLDS_IN:
+        elif ledger.effective > waits.order_number and vehicle.mode in HOLDS_IN:
             self._adopt(waits, HELD_S)
             return False
         elif vehicle.custom_mode != waits.custom_mode:
@@ -373,7 +373,9 @@ class Returns:
         waits.order_number, waits.custom_mode = waits.actor.order_number, waits.actor.vehicle.custom_mode
         waits.goal_m = None if pause_s else waits.goal_m
         waits.retry_at = max(waits.retry_at, self._loop.time() + pause_s)
-        why = f"{waits.actor.runner.effective_order}, not asked for" if pause_s else "another order, which failed"
+        why = (
+            f"{waits.actor.runner.ledger.effective_order}, not asked for" if pause_s else "another order, which failed"
+        )
         self._report(waits.actor, f"it goes on waiting after {why}")
 
     def _drop(self, waits: Waiting, why: str | None) -> None:
@@ -395,7 +397,7 @@ class Returns:
         """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`."""
         key, vehicle = actor.vehicle.key, actor.vehicle
         left = now - self._left_at.get(key, -math.inf) < TAKES_S or self._leaves(actor)
-        comes = left or vehicle.mode in COMING_HOME or actor.runner.sends in LANDS
+        comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.sends in LANDS
         return is_flying(vehicle, now) and key not in self._staying and comes
 
     async def _decide(self, free: Sequence[VehicleActor]) -> Departures:
@@ -608,7 +610,7 @@ class Returns:
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
             None if waits is None else waits.goal_m,
-            lands=vehicle.mode in LANDING or actor.runner.sends in LANDS,
+            lands=vehicle.mode in LANDING or actor.runner.ledger.sends in LANDS,
         )
         self._seen[vehicle.key] = one, at
         return one

@@ -29,7 +29,7 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     takeoff_conflict,
 )
-from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track
+from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, is_bound_for
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
 from skygcs.core.separation import Footprint, pair_margin
@@ -62,12 +62,15 @@ MAX_HOLDS = 64
 
 
 class Destination(NamedTuple):
-    """Where skygcs has sent a vehicle. It holds while no newer order moves it, or may, and its mode is the same."""
+    """Where skygcs has sent a vehicle. It holds while nothing newer of ours moves it, or may, and its mode is the same.
+    What others order is not seen: it counts beside where the vehicle is (`_present`), never in place of that."""
 
     place: Place
     order_number: int
     mode: str | None
     """None: the order is still on its way."""
+    before: Destination | None = None
+    """Where it flies if this order fails."""
 
 
 class SeparationMonitor:
@@ -186,14 +189,18 @@ class SeparationMonitor:
 
     def sent_to(self, actor: VehicleActor, place: Place) -> None:
         """It is ordered to fly to this place: for every later order it is on its way there."""
-        moves = 0 if actor.offboard.flying else 1  # under control the order only moves the reference
-        self._destinations[actor.vehicle.key] = Destination(place, actor.order_number + moves, None)
+        key, moves = actor.vehicle.key, 0 if actor.offboard.flying else 1  # control only moves the reference
+        known = self._destinations.get(key)
+        before = known.before if known is not None and known.mode is None else known
+        self._destinations[key] = Destination(place, actor.order_number + moves, None, before)
 
     def arriving(self, actor: VehicleActor, *, ok: bool) -> None:
         """The order of `sent_to` has ended: it flies there, or does not."""
         known = self._destinations.pop(actor.vehicle.key, None)
-        if ok and known is not None and actor.runner.effective <= known.order_number:
-            self._destinations[actor.vehicle.key] = known._replace(mode=actor.vehicle.mode)
+        if known is not None and ok and actor.runner.ledger.effective <= known.order_number:
+            self._destinations[actor.vehicle.key] = known._replace(mode=actor.vehicle.mode, before=None)
+        elif known is not None and not ok and known.before is not None:
+            self._destinations[actor.vehicle.key] = known.before
 
     def goto_refusal(self, vehicle: Vehicle, to: Place, together: frozenset[int]) -> str | None:
         """Why it should not be sent there now; None: nothing is in the way. ``together``: keys of vehicles that are
@@ -246,7 +253,8 @@ class SeparationMonitor:
                 continue
             flight, local = other.offboard.controller.flight, other.offboard.controller.frame
             if flight is None or local is None:
-                others.append(of_track(track, self._destination(key), frame, now))
+                courses = (one.destination for one in self._present(track, sent=True))
+                others += [of_track(track, destination, frame, now) for destination in courses]
                 continue
             at = _places_in(frame, local, flight, now)
             others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
@@ -364,10 +372,20 @@ class SeparationMonitor:
         """``sent``: for an order that goes on by itself, so where others were sent and who is lost counts, too."""
         for key, track in self.monitor.tracks.tracks.items():
             if key not in together:
-                yield Other(track, self._destination(key) if sent else None)
+                yield from self._present(track, sent=sent)
         for key, track in self.monitor.tracks.lost.items() if sent else ():
             if key not in together and key in self._actors:
                 yield Other(track)
+
+    def _present(self, track: Track, *, sent: bool) -> Iterator[Other]:
+        """A vehicle where it is, and where it was ``sent``, if it was. Only what is seen flying there has left its
+        place: it may not have taken the order, or another station, or setpoints, may have moved it since."""
+        destination, frame = self._destination(track.key) if sent else None, self.monitor.tracks.frame
+        goal_m = None if destination is None or frame is None else frame.from_geodetic(*destination)
+        if goal_m is None or track.parked or track.lost or not is_bound_for(track, track.velocity_mps, goal_m):
+            yield Other(track)
+        if destination is not None:
+            yield Other(track, destination)
 
     def _destination(self, key: int) -> Place | None:
         known, actor = self._destinations.get(key), self._actors.get(key)
@@ -375,7 +393,8 @@ class SeparationMonitor:
             return None
         if known.mode is None:
             return known.place
-        if actor.runner.effective > known.order_number or actor.vehicle.mode != known.mode:
+        led = actor.offboard.flying and (actor.offboard.controller.streaming or actor.offboard.controller.flight)
+        if led or actor.runner.ledger.effective > known.order_number or actor.vehicle.mode != known.mode:
             del self._destinations[key]
             return None
         return known.place

@@ -56,7 +56,7 @@ class Takeoffs:
         """Watch a take-off that has this outcome. ``engage``: begin control at its end, if the fleet file says so. The
         watch over one before goes on if the vehicle has refused this one."""
         number = outcome.order_number
-        if number is not None and self._orders.effective >= number:
+        if number is not None and self._orders.ledger.effective >= number:
             self.cancel()
         if not outcome.ok or from_amsl_m is None:
             return
@@ -64,7 +64,7 @@ class Takeoffs:
         self._ended_by = SUPERSEDED
         self._over.clear()
         control_mode = self._control_mode if engage else "off"
-        number = self._orders.effective if number is None else number
+        number = self._orders.ledger.effective if number is None else number
         self._tasks.start(self._follow(watch, number, control_mode), "watch of the take-off")
 
     def cancel(self) -> None:
@@ -85,11 +85,11 @@ class Takeoffs:
         if self._watch is not None:
             await self._over.wait()
             return self._ended_by
-        number, until = self._orders.effective, self._loop.time() + NOT_ORDERED_S
+        number, until = self._orders.ledger.effective, self._loop.time() + NOT_ORDERED_S
         mode = self._vehicle.mode
         while reports_takeoff(self._vehicle, self._loop.time()):
             await asyncio.sleep(LOOK_S)
-            if self._orders.effective > number:
+            if self._orders.ledger.effective > number:
                 return SUPERSEDED
             if self._loop.time() > until:
                 return "it still reports a take-off, which was not ordered here"
@@ -103,9 +103,9 @@ class Takeoffs:
     async def _follow(self, watch: TakeoffWatch, number: int, control_mode: str) -> None:
         try:
             # while another order is being sent, which it may refuse, nothing is judged
-            while self._orders.moving or (verdict := watch.look(self._loop.time())) == "climbs":
+            while self._orders.ledger.moving or (verdict := watch.look(self._loop.time())) == "climbs":
                 await asyncio.sleep(LOOK_S)
-                if self._orders.effective > number:
+                if self._orders.ledger.effective > number:
                     return  # another order came: what it wants is flown
             if verdict != "reached":
                 self._ended_by = f"its take-off did not end as it was ordered: {verdict}"

@@ -31,6 +31,10 @@ ORDER_SERIAL: ContextVar[int | None] = ContextVar("order_serial", default=None)
 """Serial of the order that the present task carries out; None: it carries out none. Tasks that begin within an order
 inherit it, and so never count as a newer order."""
 
+ASKED_NOW: ContextVar[bool] = ContextVar("asked_now", default=False)
+"""True while the present task carries out an order that a person gives: only that may end a flight over a pilot who
+takes the vehicle meanwhile. No task of a `TaskSet` inherits it."""
+
 _serials = itertools.count(OWN + 1)
 
 
@@ -56,7 +60,7 @@ class Asked(NamedTuple):
     custom_mode: int | None = None
     """None: an order of ours was changing it, or a take-off was under way."""
     number: int = 0
-    """`OrderRunner.number` then."""
+    """`OrderLedger.number` then."""
 
 
 async def numbered(work: Coroutine[Any, Any, T], new: Callable[[], int] = ask) -> T:
@@ -94,6 +98,7 @@ class TaskSet:
         """``what``: its name in reports of faults and in lists of tasks. ``serial``: of the order that it carries out;
         None: that of the task that starts it."""
         context = copy_context()
+        context.run(ASKED_NOW.set, False)
         if serial is not None:
             context.run(ORDER_SERIAL.set, serial)
         name = what if self._name is None else f"{self._name} {what}"

@@ -26,6 +26,7 @@ from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENT
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
+from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
@@ -198,7 +199,7 @@ class VehicleActor:
     def order_number(self) -> int:
         """Counts the orders that moved it, from the time (ms) at which this actor began: the numbers of a daemon that
         ran before name no order of this one."""
-        return self.runner.number
+        return self.runner.ledger.number
 
     @property
     def closed(self) -> bool:
@@ -386,8 +387,9 @@ class VehicleActor:
     # -- orders
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
-        """Arm. With ``wait_s`` it is repeated every second until the vehicle accepts or the time is over, and sent only
-        when an ArduCopter has a position: in STABILIZE it would arm without one, and then refuse to take off.
+        """Arm. With ``wait_s`` it is repeated every second until the vehicle accepts, it is armed otherwise, a pilot
+        switches it to a mode of his sticks, or the time is over; and sent only when an ArduCopter has a position: in
+        STABILIZE it would arm without one, and then refuse to take off.
 
         ``force``: without the autopilot's checks, and without a preflight required by the fleet file.
         """
@@ -468,7 +470,7 @@ class VehicleActor:
         if not self.offboard.flying:
             return await self.runner.run("goto", lambda now: orders.goto(self.vehicle, now, limit_m=limit_m, **where))
         try:
-            to = orders.destination(self.vehicle, self._loop.time(), limit_m=limit_m, **where)
+            to = self.destination(**where)
         except RefusedError as error:
             return self.runner.finish("goto", Outcome.refused(str(error)))
         if (why := await self.runner.late()) is not None:
@@ -479,6 +481,14 @@ class VehicleActor:
         if outcome.ok:
             self.runner.note_effect()
         return self.runner.finish("goto", outcome)
+
+    def destination(self, **where: Unpack[orders.Where]) -> Destination:
+        """Where a `goto` would lead it now. Raises RefusedError where that would be refused."""
+        to = orders.destination(self.vehicle, self._loop.time(), limit_m=self.config.goto_limit_m, **where)
+        place = GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m)
+        if self.offboard.flying and (why := self.offboard.why_not_to(place)) is not None:
+            raise RefusedError(why)
+        return to
 
     async def calibrate(self, sensor: str) -> Outcome:
         """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""

@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.protocols.command import RETRY_TIMERS_S, SETTLE_S, Ack, CommandSpec, Outcome
-from skygcs.runtime.command_client import LATE_ACK_S, CommandClient
+from skygcs.runtime.command_client import LATE_ACK_S, CommandClient, Moves
 from support.vehicles import flight_dialect
 
 pytestmark = pytest.mark.looptime
@@ -102,6 +102,31 @@ async def test_a_quiet_time_ends_as_soon_as_the_late_acks_have_come() -> None:
     commands.on_ack(Ack(511, 2, 0, 255, 25), loop.time())  # late, of the first: a denial that must not count
     assert (await second).ok
     assert loop.time() - before < 0.5
+
+
+async def test_what_another_order_has_done_when_its_turn_comes_is_not_sent() -> None:
+    radio = BadRadio(1, loss=0.0, delay_s=0.1, duplicate=0.0)
+    first = asyncio.create_task(radio.commands.run(CommandSpec(400, (2.0,))))
+    await asyncio.sleep(0)
+    moves = Moves(lambda: True, done=lambda: first.done())
+    second = await radio.commands.run(CommandSpec(400, (2.0,)), moves=moves)
+    assert (second.ok, second.attempts, radio.sent) == (True, 0, 1) and first.result().ok
+
+
+@pytest.mark.parametrize(("result", "accepted"), [(0, 1), (2, 0)])
+async def test_a_late_acceptance_is_told_to_the_order_that_a_newer_one_has_replaced(result: int, accepted: int) -> None:
+    radio, told = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0), list[float]()
+    moves = Moves(lambda: True, accepted=lambda: told.append(radio.loop.time()))
+    replaced = asyncio.create_task(radio.commands.run(CommandSpec(176, (2.0,)), moves=moves))
+    await asyncio.sleep(0.3)
+    radio.commands.supersede([], ends_flight=False)
+    assert (await replaced).result == "cancelled" and not told
+    newer = asyncio.create_task(radio.commands.run(CommandSpec(176, (4.0,))))
+    await asyncio.sleep(0)
+    radio.commands.on_ack(Ack(176, result, 0, 255, 25), radio.loop.time())
+    assert len(told) == accepted
+    radio.loss = 0.0
+    assert (await newer).ok and len(told) == accepted
 
 
 async def test_the_second_ack_of_px4s_set_mode_does_not_pass_for_the_next_ones() -> None:

@@ -99,11 +99,13 @@ async def test_what_is_known_without_asking_refuses_it(tmp_path: Path) -> None:
 
 async def test_a_px4_in_offboard_is_led_by_another_unless_these_are_our_setpoints(tmp_path: Path) -> None:
     hovering = Hovering(tmp_path)
-    assert not hovering.conditions.led_by_another
+    assert hovering.refusal() is None
     hovering.say(OFFBOARD)
-    assert hovering.conditions.led_by_another
     assert "it is in OFFBOARD already: another program sends it setpoints" in str(hovering.refusal())
     assert hovering.refusal(active=True) is None
+    # it shows the mode of our own, which have ended, for a while
+    hovering.conditions.ours_until = asyncio.get_running_loop().time() + 1.0
+    assert hovering.refusal() is None
 
 
 async def test_a_radio_that_carries_no_stream_refuses_it(tmp_path: Path) -> None:

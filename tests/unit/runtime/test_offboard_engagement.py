@@ -112,6 +112,7 @@ class Field:
             execute=self.execute,
             attempt_in_control=self.attempt,
             asked=lambda: None,
+            late=self.never_late,
             taken_by_pilot=lambda asked: None,  # tests/integration/test_orders_as_they_come.py
         )
         self.runner = runner
@@ -150,6 +151,9 @@ class Field:
     def pong(self, ts1: int) -> None:
         frame = self.voice.say(mav.MAVLink_timesync_message(123456789, ts1))
         self.offboard.on_timesync(frame, self.loop.time())
+
+    async def never_late(self, order: str) -> str | None:
+        return None
 
     async def attempt(self, planner: Callable[[float], Plan]) -> Outcome:
         try:

@@ -39,7 +39,8 @@ class FakeFleet:
     def orders(self) -> FakeFleet:
         return self
 
-    async def command_all(self, names: list[str], order: Order) -> dict[str, Any]:
+    async def command_all(self, names: list[str], order: Order, *, by_person: bool) -> dict[str, Any]:
+        assert not by_person, "a pilot who takes one meanwhile keeps it"
         self.given.append((asyncio.get_running_loop().time(), names, order.__name__))
         await asyncio.sleep(self.lasts_s)
         if self.fails is not None:

@@ -522,6 +522,27 @@ async def test_an_arming_that_is_denied_leaves_one_before_it_that_may_yet_show(g
     assert not is_being_armed(actor.vehicle, ground.loop.time())
 
 
+@pytest.mark.parametrize("disarmed", [True, False])
+async def test_a_repeated_arming_ends_once_somebody_has_armed_the_vehicle(ground: Ground, disarmed: bool) -> None:
+    """It armed what its pilot had armed and disarmed between two attempts."""
+    vehicle, actor = await one(ground, PX4)
+    vehicle.script = refusing(ARM, 1)
+    arm = asyncio.create_task(actor.arm(wait_s=10.0))
+    await asyncio.sleep(0.7)
+    for armed in (True, not disarmed):
+        vehicle.armed = armed
+        vehicle.pulse()
+        await asyncio.sleep(0.1)
+    assert actor.vehicle.armed is not disarmed
+    vehicle.script = accept_everything
+    outcome = await arm
+    said = (
+        "refused: it was armed since this was ordered, and is disarmed again" if disarmed else "it was armed meanwhile"
+    )
+    assert (outcome.ok, outcome.message) == (not disarmed, said)
+    assert [c for c, _ in vehicle.commands()].count(ARM) == 1
+
+
 async def test_a_disarming_takes_the_place_of_an_arming_that_is_still_repeated(ground: Ground) -> None:
     """It waited for its turn behind the arming, which came through meanwhile."""
     vehicle, actor = await one(ground, ARDUPILOT)
@@ -536,6 +557,15 @@ async def test_a_disarming_takes_the_place_of_an_arming_that_is_still_repeated(g
     assert (await arm).result == "cancelled"
     await beside
     assert [c for c in vehicle.commands()[before:] if c[0] == ARM] == [(ARM, (0.0, 0.0))]
+
+
+async def test_a_disarming_ends_an_arming_that_asks_for_a_position_yet(ground: Ground) -> None:
+    vehicle, actor = await one(ground, ARDUPILOT)
+    vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.command == ARM else None
+    arm = asyncio.create_task(actor.arm(wait_s=30.0))
+    await asyncio.sleep(0.3)
+    assert (await actor.disarm()).ok and arm.done() and arm.result().result == "cancelled"
+    assert [p for c, p in vehicle.commands() if c == ARM] == [(0.0, 0.0)]
 
 
 async def test_a_takeoff_that_a_stop_followed_at_once_does_not_end_with_taking_off(ground: Ground) -> None:
@@ -1133,10 +1163,10 @@ async def test_each_order_has_a_number_of_when_it_was_asked_for_and_a_hold_of_th
     vehicle.script = accept_everything
     tasks = TaskSet(ground.loop, ground.events.append)
     before = ask()
-    assert (await actor.land()).ok and actor.runner.effective_serial > before, "it gets one at the gate"
+    assert (await actor.land()).ok and actor.runner.ledger.effective_serial > before, "it gets one at the gate"
     assert ORDER_SERIAL.get() is None, "and its caller keeps none"
-    newest = actor.runner.effective_serial
-    assert (await tasks.start(actor.hold(), "hold", OWN)).ok and actor.runner.effective_serial == newest
+    newest = actor.runner.ledger.effective_serial
+    assert (await tasks.start(actor.hold(), "hold", OWN)).ok and actor.runner.ledger.effective_serial == newest
     late = await tasks.start(actor.rtl(), "rtl", before)
     assert late.result == "refused" and "a newer order" in late.message, "what waited since then comes too late"
     assert (await tasks.start(actor.stop("hold"), "stop", before)).ok, "but a stop"

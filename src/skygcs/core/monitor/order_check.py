@@ -2,7 +2,8 @@
 
 The path of the order is a straight line, flown at once with `GOTO_MPS`, after which the vehicle stays. What is parked
 or stands in the air is taken to stay, what moves to fly straight on for the horizon, and what skygcs has sent somewhere
-to fly there and stay. That is a model: speeds differ, and the monitor goes on watching.
+to fly there and stay; one that may do either is given as two `Other`. That is a model: speeds differ, and the monitor
+goes on watching.
 """
 
 from __future__ import annotations

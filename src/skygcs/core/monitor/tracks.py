@@ -236,20 +236,22 @@ def path_of(track: Track, velocity: Vector) -> tuple[tuple[Piece, ...], bool]:
     seen to fly there, or on the circle of what cannot stop. That does not end at its goal, either."""
     goal_m = track.goal_m
     straight_on = (Piece(math.inf, velocity),)
-    speed_mps = math.hypot(*velocity)
     if track.circle_m:
         turn = track.turn_radps()
         return (arc(velocity, turn, ARC_S), True) if turn else (straight_on, False)
-    if goal_m is None or speed_mps < LEAST_SPEED_MPS:
+    if goal_m is None or not is_bound_for(track, velocity, goal_m):
         return straight_on, False
-    here = track.place_m
-    way = (goal_m[0] - here[0], goal_m[1] - here[1], goal_m[2] - here[2])
-    away_m = math.hypot(*way)
+    x, y, z = (goal - here for goal, here in zip(goal_m, track.place_m, strict=True))
+    after_s = math.hypot(x, y, z) / math.hypot(*velocity)
+    return (Piece(after_s, (x / after_s, y / after_s, z / after_s)),), True
+
+
+def is_bound_for(track: Track, velocity: Vector, goal_m: Vector) -> bool:
+    """True if this velocity leads it to a goal; both in the common frame."""
+    way = tuple(goal - here for goal, here in zip(goal_m, track.place_m, strict=True))
     along = sum(w * v for w, v in zip(way, velocity, strict=True))
-    if along < TOWARDS * away_m * speed_mps or away_m == 0.0:
-        return straight_on, False
-    share = speed_mps / away_m
-    return (Piece(away_m / speed_mps, (way[0] * share, way[1] * share, way[2] * share)),), True
+    speed_mps, away_m = math.hypot(*velocity), math.hypot(*way)
+    return speed_mps >= LEAST_SPEED_MPS and away_m > 0.0 and along >= TOWARDS * away_m * speed_mps
 
 
 def follows(track: Track, points: Sequence[Vector]) -> bool:

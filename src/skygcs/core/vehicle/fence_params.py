@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.vehicle_class import VehicleClass
-from skygcs.core.vehicle.flight_evidence import why_not_idle
+from skygcs.core.vehicle.flight_evidence import why_maybe_in_air, why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -221,8 +221,8 @@ def require_inside(vehicle: Vehicle, now: float, fence: FenceSettings) -> None:
 
 def require_testable(vehicle: Vehicle, now: float, radius_m: float) -> None:
     """Raises RefusedError for a vehicle in the air, and for one that stands outside the test's fence already."""
-    if vehicle.in_air(now):
-        raise RefusedError("it is in the air: carry the vehicle over the fence by hand, with the propellers off")
+    if (why := why_maybe_in_air(vehicle, now)) is not None:
+        raise RefusedError(f"{why}: carry the vehicle over the fence by hand, with the propellers off")
     away_m = from_home_m(vehicle)
     if away_m is not None and away_m >= radius_m:
         raise RefusedError(

@@ -121,9 +121,24 @@ def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
     return None
 
 
+def why_maybe_in_air(vehicle: Vehicle, now: float) -> str | None:
+    """Why it may be in the air, armed or not; None: it stands on the ground."""
+    if not vehicle.armed:
+        return why_maybe_flying(vehicle, now)
+    in_air = vehicle.in_air(now)
+    return "it is in the air" if in_air else "it is armed, and may be in the air" if in_air is None else None
+
+
 def is_being_armed(vehicle: Vehicle, now: float) -> bool:
     """True if an arming of ours may have armed it and no heartbeat has shown that yet."""
     return vehicle.armed_at < vehicle.arming_at and now <= vehicle.arming_until
+
+
+def disarmed_since(vehicle: Vehicle, at: float) -> str | None:
+    """Why what was ordered ``at`` that time, and arms, must not be sent now: the vehicle has been armed since, and is
+    not any more. None: it may be."""
+    again = vehicle.armed_at > at and not vehicle.armed
+    return "it was armed since this was ordered, and is disarmed again" if again else None
 
 
 def why_not_idle(vehicle: Vehicle, now: float) -> str | None:

@@ -18,7 +18,7 @@ from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import Destination
-from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
+from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_in_air, why_not_idle
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.order_plan import FORCE_HINT as FORCE_HINT  # beside the orders that are refused with it
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -142,12 +142,6 @@ class Where(TypedDict, total=False):
 def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Plan:
     """Go to a `destination`. The outcome states the position as it was given: metres of the fleet's frame, or
     degrees."""
-    hovers = vehicle.family == "ardupilot" and vehicle.hovers(now)
-    if hovers and vehicle.param("Q_GUIDED_MODE") != 1.0 and not where.get("force"):
-        raise RefusedError(
-            "it hovers, and in GUIDED it would fly on as a plane and circle there unless its Q_GUIDED_MODE is 1; it is "
-            f"not known to be; {FORCE_HINT}"
-        )
     plan = autopilot.goto(vehicle, destination(vehicle, now, limit_m=limit_m, **where))
     enu_m = where.get("enu_m")
     if enu_m is None:
@@ -158,6 +152,12 @@ def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]
 def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Destination:
     """A geodetic position (``height_m`` above this vehicle's home, None: its present height) or a point of the fleet's
     frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
+    hovers = vehicle.family == "ardupilot" and vehicle.hovers(now)
+    if hovers and vehicle.param("Q_GUIDED_MODE") != 1.0 and not where.get("force"):
+        raise RefusedError(
+            "it hovers, and in GUIDED it would fly on as a plane and circle there unless its Q_GUIDED_MODE is 1; it is "
+            f"not known to be; {FORCE_HINT}"
+        )
     here, home_amsl_m = require_going(vehicle, now)
     lat_deg, lon_deg, height_m = where.get("lat_deg"), where.get("lon_deg"), where.get("height_m")
     enu_m, yaw_deg = where.get("enu_m"), where.get("yaw_deg")
@@ -199,10 +199,8 @@ def set_home(
     """
     require_connected(vehicle, now)
     # not in the air
-    flies = vehicle.in_air(now) is not False if vehicle.armed else why_maybe_flying(vehicle, now)
-    if flies and not force:
-        flying = flies if isinstance(flies, str) else "it is in the air"
-        raise RefusedError(f"{flying}, and its heights are counted from its home: land first, or {FORCE_HINT}")
+    if (why := why_maybe_in_air(vehicle, now)) is not None and not force:
+        raise RefusedError(f"{why}, and its heights are counted from its home: land first, or {FORCE_HINT}")
     if lat_deg is None and lon_deg is None and alt_amsl_m is None:
         return autopilot.set_home(None)
     if lat_deg is None or lon_deg is None:

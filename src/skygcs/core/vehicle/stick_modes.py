@@ -106,12 +106,14 @@ class Hands(NamedTuple):
     stick_mode: str
     """"": none that is flown by sticks."""
     armed: bool
+    at: float
+    """The time of this look."""
 
 
 def hands(vehicle: Vehicle, now: float) -> Hands:
     """Return whose hands it is in now."""
     by_sticks = vehicle.family != "generic" and without_sticks(model_of(vehicle, now), vehicle.custom_mode) is not None
-    return Hands(vehicle.mode if by_sticks else "", vehicle.armed or is_being_armed(vehicle, now))
+    return Hands(vehicle.mode if by_sticks else "", vehicle.armed or is_being_armed(vehicle, now), now)
 
 
 def taken_since(vehicle: Vehicle, now: float, before: Hands) -> str | None:

@@ -130,6 +130,10 @@ class Vehicle:
         self.slots = self.message_cache.slots
         self.armed_at = self.armed_since = -math.inf
         """When its heartbeat last showed it armed, and since when it does."""
+        self.mode_changes = 0
+        """How often its heartbeats have shown another mode than before."""
+        self.mode_since = -math.inf
+        """When they first showed the present one."""
         self._landed = "undefined"
         self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
@@ -494,6 +498,8 @@ class Vehicle:
         first = self._known_since is None
         armed, mode, failsafe, connected = self.armed, self.mode, self.failsafe, self.connected
         self.type, self.autopilot = vehicle_type, autopilot
+        if custom_mode != self.custom_mode:
+            self.mode_changes, self.mode_since = self.mode_changes + 1, now
         self.base_mode, self.custom_mode, self.system_status = base_mode, custom_mode, system_status
         if not self.connected:
             self.connected = True

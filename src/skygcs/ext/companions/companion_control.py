@@ -249,6 +249,10 @@ class CompanionControl:
     def keep(self, why: str) -> None:
         """The companion goes on holding by itself."""
 
+    def why_not_to(self, _place: GeodeticPosition) -> str | None:
+        """Why the reference may not be moved there, as far as the ground knows; the companion has its own fence."""
+        return self._not_flying()
+
     async def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:
         """Move the companion's reference."""
         if (why := self._not_flying()) is not None:

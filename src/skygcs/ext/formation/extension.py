@@ -355,6 +355,7 @@ class Formation(Extension[FormationConfig]):
         if not actor.offboard.flying:
             controller = actor.offboard.controller
             return actor.offboard.successor or "; ".join(controller.reasons) or f"control is {controller.state.value}"
+        # an order that it refuses, too: control holds it since (`keep`), and who gave it wants something else
         if actor.order_number != self._numbers[name] or actor.program is not self:
             return "it was given another order, or setpoints of a client"
         return None

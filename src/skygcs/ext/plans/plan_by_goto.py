@@ -67,6 +67,7 @@ class GotoGuidance:
         vehicle, state = actor.vehicle, None if self._legs is None else self._legs.state
         if name in self._under_way:
             return None
+        # one that it refuses, too: a part of it may have been done, and who gave it wants something else than the plan
         if actor.order_number != self._numbers.get(name, actor.order_number):
             return Departure(DepartureCause.ORDER, "it was ordered otherwise")
         if name in self._refused:

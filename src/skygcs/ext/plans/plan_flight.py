@@ -43,6 +43,9 @@ HOLD_MODES = frozenset({"AUTO.LOITER", "BRAKE", "GUIDED"})
 PLAN_MODES = HOLD_MODES | {"AUTO.TAKEOFF", "OFFBOARD"}
 """To which arming, take-off, control and hold of a plan lead. In any other one somebody else has the vehicle."""
 
+LANDING_MODES = frozenset({"AUTO.LAND", "LAND"})
+"""The same of a vehicle that a plan lands."""
+
 LONGEST_AGE_S = 2.0
 """A position is carried on with its velocity for no longer."""
 
@@ -139,6 +142,8 @@ class PlanFlight:
         """Observations of the vehicles at the last tick, by name."""
         self.loaded = list(loaded)
         self.engaged: set[str] = set()
+        self.landing: set[str] = set()
+        """Those that it has ordered to land."""
         """Vehicles that follow this flight: under control, or with the first goto accepted."""
         self.takeoffs: dict[str, TakeoffWatch] = {}
         self.being_taken: set[str] = set()
@@ -189,7 +194,8 @@ class PlanFlight:
         """Mode as `Measurement` has it."""
         actor = self.actors[name]
         ours = name in self.engaged or name in self.being_taken or actor.offboard.flying
-        if ours or not actor.vehicle.armed or actor.vehicle.mode in PLAN_MODES:
+        modes = PLAN_MODES | LANDING_MODES if name in self.landing else PLAN_MODES
+        if ours or not actor.vehicle.armed or actor.vehicle.mode in modes:
             return None
         return actor.vehicle.mode
 
@@ -358,6 +364,8 @@ class FlightOrders:
                     flight.engaged.add(name)
                 return outcome
         flight.engaged.discard(name)
+        if kind is OrderKind.LAND:
+            flight.landing.add(name)
         return await (actor.hold() if kind is OrderKind.HOLD else actor.land())
 
     async def _to_takeoff_mode(self, actor: VehicleActor) -> Outcome:

@@ -397,8 +397,8 @@ class PlanRunner:
         sights = flight.look(now)
         others = [
             name
-            for name, left in execution.left.items()
-            if not sights[name].on_ground and (_out_of_reach(sights[name]) or _flown_by_pilot(sights[name], left))
+            for name, sight in sights.items()
+            if not sight.on_ground and (sight.unexpected_mode or _stays_away(sight, execution.left.get(name)))
         ]
         # nobody flies, or a person insists: without a certificate
         flying = [name for name in execution.names if not sights[name].on_ground and name not in others]
@@ -524,6 +524,11 @@ def _flown_by_pilot(sight: Measurement, left: Departure) -> bool:
     """True for one that was taken out of our hands, unless its autopilot holds it by now: a failsafe ends so, too, and
     leaves a vehicle that waits for an order until its battery is empty."""
     return left.why is DepartureCause.PILOT and not sight.holds
+
+
+def _stays_away(sight: Measurement, left: Departure | None) -> bool:
+    """True for one that left, and is not to be landed with the others."""
+    return left is not None and (_out_of_reach(sight) or _flown_by_pilot(sight, left))
 
 
 def _departed(execution: Execution, sights: Mapping[str, Measurement]) -> frozenset[str]:

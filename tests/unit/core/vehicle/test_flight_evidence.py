@@ -7,7 +7,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.flight_evidence import FRESH_S, contradiction, why_maybe_flying, why_not_idle
+from skygcs.core.vehicle.fence_params import require_testable
+from skygcs.core.vehicle.flight_evidence import (
+    FRESH_S,
+    contradiction,
+    disarmed_since,
+    why_maybe_flying,
+    why_maybe_in_air,
+    why_not_idle,
+)
 from skygcs.core.vehicle.orders import reboot, set_home
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -41,6 +49,23 @@ EVIDENCE: dict[str, tuple[Callable[[Voice], Frame], str]] = {
     "moves": (lambda v: v.position(velocity=(300, 400, 0)), "it moves at 5.0 m/s"),
     "throttle": (lambda v: throttle(v, 38), "its throttle is at 38 %"),
 }
+
+
+@each(("landed", "why"), [(None, "it is armed, and may be in the air"), (1, None), (2, "it is in the air")])
+def test_one_that_is_armed_is_on_the_ground_only_where_it_says_so(landed: int | None, why: str | None) -> None:
+    """A fence test set a fence of 30 m on one in flight that had not said where it is."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(PX4, 4, armed=True, status=4), NOW)
+    if landed is not None:
+        vehicle.on_frame(voice.landed(landed), NOW)
+    assert why_maybe_in_air(vehicle, NOW) == why
+    if why is None:
+        require_testable(vehicle, NOW, 30.0)
+        return
+    with pytest.raises(RefusedError, match=why):
+        require_testable(vehicle, NOW, 30.0)
+    with pytest.raises(RefusedError, match=why):
+        set_home(vehicle, NOW)
 
 
 @each("what", EVIDENCE)
@@ -104,6 +129,17 @@ def test_one_that_is_being_armed_is_not_idle_until_heartbeats_have_followed() ->
         vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=armed), at)
     vehicle.on_frame(voice.landed(1), NOW + 1.1)
     assert why_not_idle(vehicle, NOW + 1.2) is None, "it was armed, and is seen disarmed on the ground again"
+
+
+def test_what_was_armed_since_an_arming_was_ordered_is_not_armed_again_once_it_is_disarmed() -> None:
+    for ordered_at, armed, why in (
+        (NOW - 2.0, False, "it was armed since this was ordered, and is disarmed again"),
+        (NOW - 2.0, True, None),
+        (NOW, False, None),
+    ):
+        vehicle, voice = disarmed(armed_ago_s=1.0)
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=armed), NOW)
+        assert disarmed_since(vehicle, ordered_at) == why
 
 
 def test_what_was_on_the_ground_before_it_was_armed_may_have_left_it() -> None:

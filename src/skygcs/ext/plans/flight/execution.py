@@ -659,15 +659,17 @@ class Execution:
         self.waits_for = tuple(n for names in self._rounds for n in names if not sights[n].on_ground)
         if not self._rounds:
             return []
-        gone = [n for n in self._rounds[0] if sights[n].forgotten and not sights[n].on_ground]
+        gone = [
+            n
+            for n in self._rounds[0]
+            if not sights[n].on_ground and (sights[n].forgotten or n in self._unexpected_modes)
+        ]
+        why = "was forgotten" if gone and sights[gone[0]].forgotten else "was taken by its pilot"
         if gone and len(self._rounds) > 1:
-            self._rounds = None
-            text = (
-                f"{_named(gone)} was forgotten while it landed: the others stay; `plan land` certifies a landing anew"
-            )
-            self._enter(PlanState.STOPPED, text, gone[0])
-            return []
+            return self._certify_anew(f"{_named(gone)} {why} while it landed", gone[0])
         if all(sights[n].on_ground or n in gone for n in self._rounds[0]):
+            if gone:
+                self._report(f"{_named(gone)} {why} while it landed", gone[0])
             del self._rounds[0]
             return self._next_round()
         return []
@@ -675,10 +677,19 @@ class Execution:
     def _next_round(self) -> list[Order]:
         if not self._rounds:
             self._started = False
-            self._enter(PlanState.LANDED, "they are on the ground")
+            self._enter(PlanState.LANDED, "those that it landed are on the ground")
             return []
+        taken = [name for name in self._rounds[0] if name in self._unexpected_modes]
+        if taken:
+            return self._certify_anew(f"{_named(taken)} was taken by its pilot before it was to land", taken[0])
         self._report(f"{_named(self._rounds[0])} land" + ("s" if len(self._rounds[0]) == 1 else ""))
         return [Order(OrderKind.LAND, self._rounds[0])]
+
+    def _certify_anew(self, text: str, name: str) -> list[Order]:
+        """Where one of a round is not, or may not be, the others stay."""
+        self._rounds = None
+        self._enter(PlanState.STOPPED, f"{text}: the others stay; `plan land` certifies a landing anew", name)
+        return []
 
     # -- reports
 

@@ -1,0 +1,146 @@
+"""The ledger of the orders to one vehicle: which of them counts, whether one of them may have armed it, and which mode
+is of ours although it shows late. Pure.
+
+Orders are not sent in the sequence in which they are asked for, and a vehicle may refuse one. So each has two counts:
+
+    serial    from where it is asked for, among the orders to all vehicles (`runtime.task_set`); 0: nobody asked for it
+    number    from where its sending begins, among those that move this vehicle (`Outcome.order_number`)
+
+An order is *in progress* until it has an outcome, and *effective* from then on if it may move the vehicle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S
+
+REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
+"""Outcomes of a refusal by the vehicle."""
+
+
+class _InProgress(NamedTuple):
+    order: str
+    serial: int
+
+
+class _OwnMode(NamedTuple):
+    custom_modes: frozenset[int]
+    mode_changes: int
+    until: float
+
+
+class OrderLedger:
+    """The orders that move one vehicle: `begins` and `ended` with each; and its armings, which move nothing."""
+
+    def __init__(self, first_number: int = 0) -> None:
+        """``first_number``: the numbers follow on this; above those of all ledgers of this vehicle before, so that a
+        number of one of those names no order here."""
+        self.number = self._first_number = first_number
+        """That of the newest order, whatever became of it."""
+        self.effective = first_number
+        """That of the newest effective order."""
+        self.effective_order = ""
+        """Name of the order ``effective``."""
+        self.effective_serial = 0
+        """Latest serial of the effective orders."""
+        self._in_progress: dict[int, _InProgress] = {}
+        """By number."""
+        self._ending_number = first_number
+        """That of the newest order that ends a flight."""
+        self._armings = 0
+        """Commands in progress that arm."""
+        self._arming_at = -math.inf
+        """When the last one began."""
+        self._armed_within = -math.inf, -math.inf
+        """When the last one that may have had an effect was sent, and until when a heartbeat may yet show it."""
+        self._own_mode = _OwnMode(frozenset(), 0, -math.inf)
+        """That of the last command to a mode that the vehicle has accepted."""
+
+    # -- orders that move the vehicle
+
+    def begins(self, order: str, serial: int, *, ends_flight: bool) -> int:
+        """Note an order whose sending begins now; returns its number. It is in progress until `ended`."""
+        self.number += 1
+        self._in_progress[self.number] = _InProgress(order, serial)
+        if ends_flight:
+            self._ending_number = self.number
+        return self.number
+
+    def ended(self, number: int, outcome: Outcome | None) -> None:
+        """Note the outcome of an order in progress; None: its caller was cancelled."""
+        order, serial = self._in_progress.pop(number)
+        if not may_have_effect(outcome):
+            return
+        if number > self.effective:
+            self.effective, self.effective_order = number, order
+        self.note_effect(serial)
+
+    def note_effect(self, serial: int) -> None:
+        """Note that an order without a number is effective: under control by setpoints."""
+        self.effective_serial = max(self.effective_serial, serial)
+
+    @property
+    def moving(self) -> int:
+        """How many are in progress."""
+        return len(self._in_progress)
+
+    @property
+    def sends(self) -> str:
+        """Name of the newest order while it is in progress; empty: it is not."""
+        newest = self._in_progress.get(self.number)
+        return "" if newest is None else newest.order
+
+    def knows(self, number: int) -> bool:
+        """True if this is the number of an order, or the first number, after which none has begun."""
+        return self._first_number <= number <= self.number
+
+    def is_behind(self, serial: int) -> bool:
+        """True if an order that was asked for later is effective, or in progress."""
+        return any(later > serial for later in (self.effective_serial, *(o.serial for o in self._in_progress.values())))
+
+    def flight_ended_since(self, number: int) -> bool:
+        """True if an order that ends a flight has begun after this one."""
+        return self._ending_number > number
+
+    # -- modes
+
+    def mode_accepted(self, custom_modes: frozenset[int], mode_changes: int, until: float) -> None:
+        """Note that the vehicle has accepted a command of ours to one of these modes. ``mode_changes``: what its
+        heartbeats had shown before that was sent (`Vehicle.mode_changes`). ``until``: by then they show the mode."""
+        self._own_mode = _OwnMode(custom_modes, mode_changes, until)
+
+    def is_own_mode(self, custom_mode: int, mode_changes: int, mode_since: float) -> bool:
+        """True if the present mode of the vehicle is one that it has accepted from us: the first other one that its
+        heartbeats have shown since the command was sent, in time, and not left since."""
+        own = self._own_mode
+        return custom_mode in own.custom_modes and mode_changes == own.mode_changes + 1 and mode_since <= own.until
+
+    # -- armings
+
+    def arming_begins(self, now: float) -> None:
+        """Note a command that arms, sent from ``now`` on. It is in progress until `arming_ended`."""
+        self._armings += 1
+        self._arming_at = now
+
+    def arming_ended(self, now: float, outcome: Outcome | None) -> None:
+        """Note the outcome of one; None: its caller was cancelled. One that had no effect leaves what others, before it
+        or beside it, may have."""
+        self._armings -= 1
+        if may_have_effect(outcome):
+            self._armed_within = self._arming_at, now + RECENTLY_ARMED_S
+
+    @property
+    def arming(self) -> tuple[float, float]:
+        """When an arming that may have had an effect was last sent, and until when it may have armed the vehicle before
+        a heartbeat shows it; -inf: never."""
+        return (self._arming_at, math.inf) if self._armings else self._armed_within
+
+
+def may_have_effect(outcome: Outcome | None) -> bool:
+    """True unless an order was not sent, or the vehicle has refused it. None: its caller was cancelled."""
+    if outcome is None or outcome.ok:
+        return True
+    return outcome.attempts > 0 and outcome.result not in REFUSALS | {"refused"}

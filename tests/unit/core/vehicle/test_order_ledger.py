@@ -1,0 +1,135 @@
+"""Which of the orders to a vehicle counts, and whether one of them may have armed it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S
+from skygcs.core.vehicle.order_ledger import OrderLedger, may_have_effect
+
+DONE = Outcome(True, "accepted", "")
+LOST = Outcome(False, "timeout", "", attempts=5)
+DENIED = Outcome(False, "denied", "", attempts=1)
+FIRST = 1000
+
+
+@pytest.mark.parametrize(
+    ("result", "attempts", "may"),
+    [
+        *((refusal, 1, False) for refusal in ("temporarily_rejected", "denied", "unsupported", "failed")),
+        ("refused", 1, False),
+        ("timeout", 1, True),
+        ("lost", 1, True),
+        ("cancelled", 1, True),
+        ("timeout", 0, False),
+        ("lost", 0, False),
+        ("cancelled", 0, False),
+    ],
+)
+def test_an_order_may_have_an_effect_unless_it_was_not_sent_or_is_refused(
+    result: str, attempts: int, may: bool
+) -> None:
+    assert may_have_effect(Outcome(False, result, "", attempts)) is may
+    assert may_have_effect(None) and may_have_effect(Outcome(True, "accepted", ""))
+
+
+def test_an_order_that_is_refused_counts_while_it_is_in_progress_only() -> None:
+    ledger = OrderLedger(FIRST)
+    assert ledger.knows(FIRST) and not ledger.knows(FIRST - 1) and not ledger.knows(FIRST + 1)
+    ledger.ended(ledger.begins("goto", 5, ends_flight=False), DONE)
+    assert (ledger.effective, ledger.effective_order, ledger.effective_serial) == (FIRST + 1, "goto", 5)
+    number = ledger.begins("land", 6, ends_flight=True)
+    assert (ledger.moving, ledger.sends, number) == (1, "land", ledger.number)
+    assert ledger.is_behind(5) and not ledger.is_behind(6) and ledger.knows(number)
+    ledger.ended(number, DENIED)
+    assert (ledger.moving, ledger.sends, ledger.number) == (0, "", FIRST + 2)
+    assert (ledger.effective, ledger.effective_order, ledger.effective_serial) == (FIRST + 1, "goto", 5)
+    assert not ledger.is_behind(5)
+
+
+def test_an_older_order_that_ends_later_does_not_take_the_place_of_a_newer_one() -> None:
+    ledger = OrderLedger()
+    older = ledger.begins("mode", 8, ends_flight=False)
+    newer = ledger.begins("hold", 7, ends_flight=True)
+    ledger.ended(newer, LOST)
+    assert ledger.sends == "", "the one in progress is not the newest"
+    ledger.ended(older, None)
+    assert (ledger.effective, ledger.effective_order) == (newer, "hold")
+    assert ledger.effective_serial == 8, "though it was asked for later"
+
+
+def test_an_effect_without_a_number_counts_by_its_serial() -> None:
+    ledger = OrderLedger(FIRST)
+    ledger.note_effect(4)
+    ledger.note_effect(3)
+    assert (ledger.effective, ledger.effective_serial) == (FIRST, 4) and ledger.is_behind(3)
+
+
+def test_what_ends_a_flight_ends_it_for_what_began_before() -> None:
+    ledger = OrderLedger()
+    before = ledger.number
+    ledger.begins("mode", 1, ends_flight=False)
+    assert not ledger.flight_ended_since(before)
+    ending = ledger.begins("disarm", 2, ends_flight=True)
+    ledger.begins("mode", 3, ends_flight=False)
+    assert ledger.flight_ended_since(before) and not ledger.flight_ended_since(ending)
+
+
+@pytest.mark.parametrize(
+    ("mode", "mode_changes", "mode_since", "own"),
+    [
+        (5, 8, 12.9, True),
+        (5, 8, 13.1, False),  # too late
+        (5, 7, 9.0, False),  # it was in that one before
+        (5, 9, 12.0, False),  # another one has shown in between
+        (2, 8, 12.0, False),
+    ],
+)
+def test_a_mode_is_our_own_if_it_was_accepted_and_shows_next_and_in_time(
+    mode: int, mode_changes: int, mode_since: float, own: bool
+) -> None:
+    ledger = OrderLedger()
+    assert not ledger.is_own_mode(mode, mode_changes, mode_since)
+    ledger.mode_accepted(frozenset({5, 6}), 7, 13.0)
+    assert ledger.is_own_mode(mode, mode_changes, mode_since) is own
+    ledger.mode_accepted(frozenset({4}), 7, 13.0)
+    assert not ledger.is_own_mode(mode, mode_changes, mode_since), "a newer one is accepted"
+
+
+def test_an_arming_may_show_until_heartbeats_have_followed_what_may_have_armed_it() -> None:
+    ledger = OrderLedger()
+    assert ledger.arming == (-math.inf, -math.inf)
+    ledger.arming_begins(10.0)
+    assert ledger.arming == (10.0, math.inf)
+    ledger.arming_begins(12.0)
+    ledger.arming_ended(13.0, LOST)
+    assert ledger.arming == (12.0, math.inf), "another one is in progress"
+    ledger.arming_ended(14.0, DENIED)
+    assert ledger.arming == (12.0, 13.0 + RECENTLY_ARMED_S), "that of the one before stays"
+    ledger.arming_begins(20.0)
+    ledger.arming_ended(21.0, DENIED)
+    assert ledger.arming == (12.0, 13.0 + RECENTLY_ARMED_S)
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.sampled_from([DONE, LOST, DENIED, None]), st.booleans())))
+def test_by_whatever_interleaving_the_effective_order_is_the_newest_that_was_not_refused(
+    orders: list[tuple[int, Outcome | None, bool]],
+) -> None:
+    """``orders``: serial, outcome, and whether it waits for those that follow."""
+    ledger = OrderLedger()
+    took, waiting = [(0, 0)], list[tuple[int, int, Outcome | None]]()
+    for serial, outcome, waits in orders:
+        waiting.append((ledger.begins("mode", serial, ends_flight=False), serial, outcome))
+        assert ledger.moving == len(waiting)
+        assert ledger.is_behind(0) is any(s > 0 for _, s in (*took, *((n, s) for n, s, _ in waiting)))
+        while waiting and not waits:
+            number, of, ends = waiting.pop(0)
+            ledger.ended(number, ends)
+            took += [(number, of)] if may_have_effect(ends) else []
+        assert ledger.effective == max(number for number, _ in took)
+        assert ledger.effective_serial == max(serial for _, serial in took)
