@@ -30,6 +30,7 @@ from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.mission_orders import (
     Progress,
     converted,
+    firmware_family,
     keeps_home,
     keeps_old,
     number_of,
@@ -129,6 +130,7 @@ class Missions:
             keeps_old=keeps_old(self._vehicle, kind),
             first_number=item_of_seq(0, home_first=home_first),
             home_first=home_first,
+            family=firmware_family(self._vehicle),
         )
         self._rejections.clear()
         outcome = await self._run(protocol, f"{kind.word} upload")
