@@ -257,7 +257,7 @@ class MissionUpload(MissionProtocol):
         self.state = UploadState.DONE
         self._ended = now
         text = f"{count} {self.kind.word} item{'s' if count != 1 else ''} taken{how}"
-        return self._end(now, "accepted", text, "complete", number=number)
+        return self._end(now, "accepted", text, "complete", self._items, number)
 
     def _late_answer(self, seq: int, now: float) -> tuple[Effect, ...]:
         ok = self.outcome is not None and self.outcome.ok
