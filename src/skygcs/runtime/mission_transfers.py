@@ -126,7 +126,7 @@ class Missions:
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
         self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
-        """Why a PX4 rejects its mission, since the last upload began."""
+        """Why a PX4 rejects its mission, since the last transfer began."""
         self._crossed = False
         """Another station has changed the list that is being transferred."""
         self._timer = DeadlineTimer(loop, self._on_timer)
@@ -153,14 +153,12 @@ class Missions:
             home_first=home_first,
             family=firmware_family(self._vehicle),
         )
-        self._rejections.clear()
-        outcome = await self._run(protocol, f"{kind.word} upload")
-        if outcome.ok and kind is MissionType.MISSION and self._vehicle.family == "px4":
-            outcome = await self._feasible(outcome)
-        return outcome
+        return await self._run(protocol, f"{kind.word} upload")
 
     async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
         """A PX4 accepts a mission and checks it afterwards; only an event or a text reports that it is rejected."""
+        if self._vehicle.family != "px4":
+            return outcome
         await asyncio.sleep(SETTLE_S)
         if not self._rejections:
             return outcome
@@ -347,7 +345,10 @@ class Missions:
         try:
             if self._closed:  # while it waited for its turn
                 return MissionOutcome(False, "cancelled", f"cancelled: {self._closed}", protocol.kind, "unchanged")
-            return await self._protocol(protocol, what)
+            outcome = await self._protocol(protocol, what)
+            if outcome.ok and isinstance(protocol, MissionUpload) and protocol.kind is MissionType.MISSION:
+                return await self._feasible(outcome)
+            return outcome
         finally:
             self._lock.release()
 
@@ -355,6 +356,7 @@ class Missions:
         over: asyncio.Future[None] = self._loop.create_future()
         self._running = (protocol, over, what)
         self._done_upload = None
+        self._rejections.clear()
         self._crossed = False
         self._reported_percent, self._percent = 0, None
         try:

@@ -523,7 +523,7 @@ async def test_what_another_station_changes_meanwhile_is_not_what_was_read() -> 
 
 
 async def test_a_mission_that_is_being_replaced_is_not_the_one_on_board() -> None:
-    async with Site() as (_, storing, actor):
+    async with Site() as (_, _, actor):
         await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
         task = asyncio.create_task(
             onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:2]), kinds=(MISSION,))
@@ -531,3 +531,25 @@ async def test_a_mission_that_is_being_replaced_is_not_the_one_on_board() -> Non
         await asyncio.sleep(0.15)
         assert len(await actor.missions.known_items() or ()) == 2
         assert (await task).ok
+
+
+@pytest.mark.parametrize("rejected", [True, False])
+@pytest.mark.parametrize("second", ["upload", "clear"])
+async def test_the_next_transfer_begins_when_a_px4_has_checked_its_mission(second: str, rejected: bool) -> None:
+    """It began before: an upload dropped the reason of a rejection, and a clear was taken for undone."""
+    async with Site() as (_, storing, actor):
+        first = asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,)))
+        await asyncio.sleep(0.7)
+        assert storing.lists[0].items and not first.done()
+        if rejected:
+            await _hears(storing, mav.MAVLink_statustext_message(2, b"Mission rejected: no"))
+        if second == "upload":
+            task = asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(RALLY,)))
+        else:
+            task = asyncio.create_task(onboard_orders.clear_plan(actor, kinds=(MISSION,)))
+        outcome = await first
+        assert outcome.ok is not rejected, outcome.message
+        assert outcome.message.endswith("will not fly them: Mission rejected: no" if rejected else " taken")
+        assert storing.lists[0].items, "the next one waits"
+        assert (await task).ok
+        assert len(actor.missions.items or ()) == (4 if second == "upload" else 0) == len(storing.lists[0].items)
