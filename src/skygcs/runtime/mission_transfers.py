@@ -263,8 +263,6 @@ class Missions:
         self, kinds: tuple[MissionType, ...], transfer: Callable[[MissionType], Awaitable[MissionOutcome]]
     ) -> Outcome:
         """Run one transfer after the other; one outcome states how far they came."""
-        if self._vehicle.duplicate:
-            return duplicate_refusal(self._vehicle)
         texts: list[str] = []
         sent, began = 0, self._loop.time()
         for done, kind in enumerate(kinds):
@@ -345,6 +343,9 @@ class Missions:
         try:
             if self._closed:  # while it waited for its turn
                 return MissionOutcome(False, "cancelled", f"cancelled: {self._closed}", protocol.kind, "unchanged")
+            if self._vehicle.duplicate:
+                refused = duplicate_refusal(self._vehicle)
+                return MissionOutcome(False, refused.result, refused.message, protocol.kind, "unchanged")
             outcome = await self._protocol(protocol, what)
             if outcome.ok and isinstance(protocol, MissionUpload) and protocol.kind is MissionType.MISSION:
                 return await self._feasible(outcome)

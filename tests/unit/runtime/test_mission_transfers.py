@@ -265,6 +265,18 @@ async def test_a_lost_vehicle_ends_its_transfer_at_once() -> None:
         assert outcome.result == "lost" and "the vehicle was lost" in outcome.message
 
 
+async def test_a_second_vehicle_with_its_id_ends_its_transfer_and_those_that_wait() -> None:
+    async with Site() as (ground, storing, actor):
+        tasks = [asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))) for _ in range(2)]
+        await asyncio.sleep(0.25)
+        ground.fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
+        for outcome in await asyncio.gather(*tasks):
+            assert outcome.result == "refused" and "two vehicles with system id 1 are on the air" in outcome.message
+        sent = [s.name for s in ground.sent if s.name.startswith("MISSION_")]
+        assert sent[-1] == "MISSION_ACK" and sent.count("MISSION_COUNT") == 1, "only that it is given up"
+        assert not storing.lists[0].items
+
+
 async def test_transfers_wait_for_their_turn_and_not_without_end() -> None:
     async with Site() as (_, storing, actor):
         storing.mute.add("MISSION_ACK")
