@@ -681,6 +681,8 @@ class VehicleActor:
                 others = self.fence, self.params, self.offboard, self.calibration
                 for reader in (self.commands, self.missions, *others):
                     reader.on_text(event.text)
+            elif event.kind == "armed":
+                self._stop_logs("cancelled", "it was armed; the same command goes on when it is disarmed")
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
