@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.mission.item import MissionType
 from support.examples import covered_by_other_flights
-from support.flown import FIELD, aloft, flown
+from support.flown import FIELD, Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
 
@@ -50,12 +52,13 @@ async def test_one_mission_for_two_at_one_height_is_refused_unless_insisted_on(t
         # one alone is nobody's business, and the other is compared with it while it flies
         await gcs.done("missions.start", targets="v1")
         await gcs.until(lambda: gcs.place("v1")[2] > 5.0, 60.0)
+        gcs.actor("v1").missions.forget(MissionType.MISSION)
         refused = await gcs.outcome("missions.start", "v2")
         assert refused["result"] == "refused" and "near v1 (on its mission)" in refused["message"], refused
         # side by side is no overlap, though this one was put on board by another station: it is read
         apart = [(x + 5.0, y, up) for x, y, up in same[:1]]
         await gcs.done("missions.upload", targets="v2", plan=mission(*apart, home=homes["v2"]))
-        gcs.actor("v2").missions.items = None
+        gcs.actor("v2").missions.forget(MissionType.MISSION)
         refused = await gcs.outcome("missions.start", "v2")
         assert refused["result"] == "refused", "its way back crosses the other's"
         await gcs.done("missions.start", targets="v2", force=True)
@@ -147,3 +150,61 @@ async def test_a_mission_that_lands_on_one_that_stands_is_refused(tmp_path: Path
         assert refused["result"] == "refused" and "m from v1, which stands there" in refused["message"], refused
         assert not gcs.sim("v2").armed
         await gcs.done("missions.start", targets="v2", force=True)
+
+
+async def _other_uploads(gcs: Flown, to: str, of: str) -> None:
+    """Another station brings the mission of one vehicle to another one."""
+    items, sysid = gcs.sim(of).lists.items[MissionType.MISSION], int(to[1:])
+    home_first = gcs.actor(to).vehicle.family == "ardupilot"
+    wire = [*items[:1], *items] if home_first else items
+    gcs.by_other_station(mav.MAVLink_mission_count_message(sysid, 1, len(wire), 0))
+    for seq, item in enumerate(wire):
+        await asyncio.sleep(0.1)
+        p1, p2, p3, p4 = (value or 0.0 for value in item.params)
+        place = item.x, item.y, item.z or 0.0
+        gcs.by_other_station(
+            mav.MAVLink_mission_item_int_message(
+                sysid, 1, seq, item.frame, item.command, 0, 1, p1, p2, p3, p4, *place, mission_type=0
+            )
+        )
+    await asyncio.sleep(0.1)
+    assert [i.x for i in gcs.sim(to).lists.items[MissionType.MISSION]] == [i.x for i in items]
+
+
+@pytest.mark.parametrize("unheard", [False, True], ids=["heard", "unheard"])
+@pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
+async def test_a_mission_that_another_station_has_replaced_is_not_the_one_that_is_compared(
+    tmp_path: Path, kind: dict[str, int], unheard: bool
+) -> None:
+    """Both were started into each other: it had as many items as the one that was sent from here."""
+    async with flown(tmp_path, takeoff=False, **kind) as gcs:
+
+        async def upload(name: str, east_m: float) -> None:
+            plan = mission((east_m, 30.0, 10.0), home=gcs.place_of_home(name)[:2])
+            await gcs.done("missions.upload", targets=name, plan=plan)
+
+        def reads() -> int:
+            return sum(sent.name == "MISSION_REQUEST_LIST" for sent in gcs.sent)
+
+        await upload("v1", -25.0)
+        await upload("v2", 30.0)
+        if unheard:
+            gcs.muted.add(1)
+            await gcs.until(lambda: not gcs.actor("v1").vehicle.connected)
+        await _other_uploads(gcs, "v1", "v2")
+        gcs.muted.clear()
+        await gcs.until(lambda: gcs.actor("v1").vehicle.connected)
+        await asyncio.sleep(2.0)
+        outcomes = (await gcs("missions.start", targets="all"))["outcomes"]
+        assert all(o["result"] == "refused" and "near v" in o["message"] for o in outcomes.values()), outcomes
+        assert reads() == 1 and not any(sim.armed for sim in gcs.sims)
+        # what was sent from here is not read; nor is a PX4's list after a loss, if its number is the same
+        await upload("v1", -25.0)
+        if unheard and "ardupilot" not in kind:
+            gcs.muted.add(1)
+            await gcs.until(lambda: not gcs.actor("v1").vehicle.connected)
+            gcs.muted.clear()
+            await gcs.until(lambda: gcs.actor("v1").vehicle.connected)
+            await asyncio.sleep(2.0)
+        await gcs.done("missions.start", targets="all")
+        assert reads() == 1

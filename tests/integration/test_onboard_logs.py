@@ -133,6 +133,41 @@ async def test_a_download_that_ends_while_its_file_is_being_opened_leaves_no_fil
         assert (await actor.logs.get([2])).ok
 
 
+@pytest.mark.parametrize("opening", [False, True])
+async def test_a_download_ends_when_its_vehicle_is_armed_and_goes_on_afterwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opening: bool
+) -> None:
+    """Its card is needed for the log of the flight; ``opening``: it is armed between the list and the first data."""
+    async with running(tmp_path) as lab:
+        vehicle, actor = lab.sim("v1"), lab.daemon.fleet.vehicles[1 << 8 | 1]
+        go_on, system_open = threading.Event(), os.open
+
+        def slow(path: Any, *args: Any, **kwargs: Any) -> int:
+            assert not str(path).endswith(".part") or go_on.wait(60)
+            return system_open(path, *args, **kwargs)
+
+        if opening:
+            monkeypatch.setattr(os, "open", slow)
+            download = asyncio.create_task(actor.logs.get([1]))
+            with stuck_threads():
+                await asyncio.sleep(2.0)
+                vehicle.armed = True
+                await until(lambda: actor.vehicle.armed)
+                go_on.set()
+        else:
+            download = asyncio.create_task(actor.logs.get([1]))
+            await until(lambda: any(f.endswith(".part") and (lab.folder / f).stat().st_size for f in lab.files()))
+            vehicle.armed = True
+        ended = await download
+        assert not ended.ok and " armed" in ended.message, ended.message
+        assert vehicle.logs._sending is None
+        vehicle.armed = False
+        await until(lambda: not actor.vehicle.armed)
+        again = await actor.logs.get([1])
+        assert again.ok and (again.files[0].resumed_at > 0 or opening)
+        assert again.files[0].path.read_bytes() == vehicle.logs.logs[1].data
+
+
 async def test_what_is_refused_says_why(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         unknown = (await lab.get("v2", [99]))["v2"]

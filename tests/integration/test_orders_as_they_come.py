@@ -11,6 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink import mav_cmd
+from skygcs.core.mission.item import MissionType
 from skygcs.core.monitor.departures import Departures
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.offboard_controller import OffboardState
@@ -48,7 +49,7 @@ async def put_mission(gcs: Flown, name: str) -> None:
     lat, lon = FIELD.to_geodetic(x, y + 40.0)
     items = [f"{n}\t0\t3\t{what}\t0\t0\t0\t0\t{lat}\t{lon}\t{up}\t1" for n, what in enumerate((16, 22, 16))]
     await gcs.done("missions.upload", targets=name, plan="\n".join(["QGC WPL 110", *items]))
-    gcs.actor(name).missions.items = None
+    gcs.actor(name).missions.forget(MissionType.MISSION)
 
 
 @covered_by_other_flights

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.mission.item import MissionType
 from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, load, timed
@@ -53,7 +54,7 @@ async def test_the_own_fence_is_looked_at_before_anything_moves_or_is_written(tm
         fence_of_30_m(gcs, lists=True)
         gcs.loses = frozenset({"MISSION_REQUEST_LIST"})
         for name in ("v1", "v2"):
-            gcs.actor(name).missions.counts.clear()  # another station may have sent some
+            gcs.actor(name).missions.forget(MissionType.FENCE)  # another station may have sent some
         report = await gcs("plan.check", margin_m=MARGIN_M)
         unread = findings(report, "fence")
         assert unread.keys() == {"v1", "v2"} and all("could not be read" in text for text in unread.values()), report

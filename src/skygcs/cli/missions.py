@@ -37,10 +37,10 @@ from skygcs.cli.render import event_line, plural, print_json, say
 from skygcs.config.files import read_named
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
-from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped
+from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped, same_start
 from skygcs.core.mission.formats import Imported, read_plan, write_plan
 from skygcs.core.mission.item import MissionItem, MissionType
-from skygcs.core.mission.plan import MissionPlan, same_start
+from skygcs.core.mission.plan import MissionPlan
 from skygcs.errors import PlanFileError, SkygcsError
 from skygcs.rpc.client import Client
 
@@ -677,7 +677,7 @@ def held_line(answer: dict[str, Any], sent: MissionPlan, kind: MissionType, file
     if answer["plan"] is None:
         return f"holds {count} {word}"
     new = for_firmware(sent.mission, family, {}).items if kind is MissionType.MISSION else sent.items(kind)
-    same = same_start(new, read_plan(answer["plan"].encode(), "the vehicle's plan").plan.items(kind))
+    same = same_start(new, read_plan(answer["plan"].encode(), "the vehicle's plan").plan.items(kind), family)
     name = PurePath(file).name
     if same == count == len(new):
         return f"holds the whole {kind.word} of {name} ({count} {word})"

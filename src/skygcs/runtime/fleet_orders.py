@@ -389,9 +389,11 @@ class FleetOrders:
         if len(starting) + len(others) < 2:  # one alone may only land on one that stands: nothing is read for that
             alone = {a: MissionRun(a.missions.items, first) for a, first in starting.items() if a.missions.items}
             return await self._monitor.mission_refusals(alone)
-        read = await asyncio.gather(*(actor.missions.known_items() for actor in starting))
+        heard = [a for a in others if a.vehicle.connected and not a.vehicle.replayed]
+        flying = [a for a in heard if a.vehicle.mode in mission_orders.MISSION_MODES]
+        read = await asyncio.gather(*(actor.missions.known_items() for actor in (*starting, *flying)))
         known = await self._with_return_heights(
-            {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=True) if items is not None}
+            {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=False) if items is not None}
         )
         text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
         unread = {actor: text for actor in starting if actor not in known}

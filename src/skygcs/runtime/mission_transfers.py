@@ -18,11 +18,18 @@ from skygcs.core.mavlink.msgids import MISSION_CURRENT, MISSION_ITEM_REACHED
 from skygcs.core.mission.fence_items import FencePlan
 from skygcs.core.mission.firmware_items import ItemChange, grouped
 from skygcs.core.mission.item import MissionItem, MissionType, item_of_seq
-from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.plan import MissionPlan, from_wire
 from skygcs.core.mission.px4_events import EVENT, rejection
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S, Outcome
-from skygcs.core.protocols.mission import ANSWERS, MissionClear, MissionOutcome, MissionProtocol
+from skygcs.core.protocols.mission import (
+    ACCEPTED,
+    ANSWERS,
+    MissionClear,
+    MissionOutcome,
+    MissionProtocol,
+    opaque_id,
+)
 from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
 from skygcs.core.radio_link.transmit_queue import Priority
@@ -30,6 +37,7 @@ from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.mission_orders import (
     Progress,
     converted,
+    firmware_family,
     keeps_home,
     keeps_old,
     number_of,
@@ -54,6 +62,12 @@ NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_R
 
 MESSAGES = frozenset({40, MISSION_CURRENT, 44, MISSION_ITEM_REACHED, 47, 51, 73, EVENT_ID})
 """Ids of the messages that `on_frame` needs."""
+
+ALL_LISTS = 255
+"""MAV_MISSION_TYPE_ALL: a MISSION_CLEAR_ALL may be for all lists, and its MISSION_ACK then is."""
+
+ID_OFFSETS = {MissionType.MISSION: 6, MissionType.FENCE: 10, MissionType.RALLY: 14}
+"""Where MISSION_CURRENT has the numbers of the lists; see `opaque_id`."""
 
 REPORT_STEP = 10
 """Step of the progress reports in percent: a report per item would be two hundred events."""
@@ -83,12 +97,16 @@ class Missions:
         on_event: Callable[[Event], None],
     ) -> None:
         # lists on board, as far as they are known
-        self.opaque_ids: dict[MissionType, int] = {}
-        """The vehicle's own list ids, as last heard."""
-        self.counts: dict[MissionType, int] = {}
-        """Number of items in each list as last sent or read, without home."""
-        self.items: tuple[MissionItem, ...] | None = None
-        """The mission on board as last sent or read here; None: not known."""
+        self._counts: dict[MissionType, int] = {}
+        """Number of items in each list as last sent or read here, without home."""
+        self._items: tuple[MissionItem, ...] | None = None
+        """The mission as last sent or read here."""
+        self._opaque_ids: dict[MissionType, int | None] = {}
+        """The vehicle's own numbers for these lists; None: it gave none."""
+        self._heard_ids: dict[MissionType, int | None] = {}
+        """The numbers that it reported last."""
+        self._doubted: set[MissionType] = set()
+        """Lists that may have changed unheard: it was lost, or has rebooted. Its number for one ends the doubt."""
         self.last: dict[MissionType, MissionOutcome] = {}
         """Outcome of the last transfer of each list."""
         # collaborators
@@ -108,15 +126,19 @@ class Missions:
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
         self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
-        """Why a PX4 rejects its mission, since the last upload began."""
+        """Why a PX4 rejects its mission, since the last transfer began."""
+        self._crossed = False
+        """Another station has changed the list that is being transferred."""
         self._timer = DeadlineTimer(loop, self._on_timer)
         # progress of the mission as the vehicle reports it
         self._current = b""
         self._seq: int | None = None
         self._state = 0
         self._progress = Progress()
+        self._completed: Progress | None = None
+        """The last run that came to its end."""
         self._total: int | None = None
-        """Number of items that it reports, without home; None: it reports none."""
+        """Number of items that it reports, without home; None: it does not report it."""
 
     async def upload(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionOutcome:
         """Upload ``items`` as on the wire (`mission_orders.on_wire`); an empty list clears the vehicle's list."""
@@ -129,18 +151,14 @@ class Missions:
             keeps_old=keeps_old(self._vehicle, kind),
             first_number=item_of_seq(0, home_first=home_first),
             home_first=home_first,
+            family=firmware_family(self._vehicle),
         )
-        self._rejections.clear()
-        outcome = await self._run(protocol, f"{kind.word} upload")
-        if outcome.ok:
-            self._done_upload = (protocol, self._loop.time())
-            self._keep(outcome, len(items) - home_first)
-            if kind is MissionType.MISSION and self._vehicle.family == "px4":
-                outcome = await self._feasible(outcome)
-        return outcome
+        return await self._run(protocol, f"{kind.word} upload")
 
     async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
         """A PX4 accepts a mission and checks it afterwards; only an event or a text reports that it is rejected."""
+        if self._vehicle.family != "px4":
+            return outcome
         await asyncio.sleep(SETTLE_S)
         if not self._rejections:
             return outcome
@@ -150,18 +168,10 @@ class Missions:
 
     async def download(self, kind: MissionType) -> MissionOutcome:
         """Download one list; its ``items`` are as on the wire."""
-        outcome = await self._run(MissionDownload(kind), f"{kind.word} download")
-        if outcome.items is not None:
-            home = kind is MissionType.MISSION and keeps_home(self._vehicle) and bool(outcome.items)
-            self._keep(outcome, len(outcome.items) - home)
-        return outcome
+        return await self._run(MissionDownload(kind), f"{kind.word} download")
 
     async def clear(self, kind: MissionType) -> MissionOutcome:
-        outcome = await self._run(MissionClear(kind), f"{kind.word} clear")
-        if outcome.ok:
-            self._done_upload = None
-            self._keep(outcome, 0)
-        return outcome
+        return await self._run(MissionClear(kind), f"{kind.word} clear")
 
     async def bring(self, plan: MissionPlan, kinds: Collection[MissionType], *, limit_m: float, force: bool) -> Outcome:
         """Check these lists of a plan and upload them, fence first; stops at the first that is not accepted."""
@@ -175,8 +185,6 @@ class Missions:
         outcome = await self._each(
             kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind, self._dialect))
         )
-        if MissionType.MISSION in kinds:
-            self.items = plan.mission if outcome.ok else None
         changes = converted(self._vehicle, plan, self._dialect).changes if MissionType.MISSION in kinds else ()
         return replace(outcome, message="; ".join((outcome.message, *_change_texts(changes)))) if changes else outcome
 
@@ -187,8 +195,6 @@ class Missions:
             require_clearable(self._vehicle, self._loop.time(), kinds, force=force)
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}")
-        if MissionType.MISSION in kinds:
-            self.items = None
         return await self._each(kinds, self.clear)
 
     async def fetch(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
@@ -211,21 +217,44 @@ class Missions:
             require_connected(vehicle, self._loop.time())
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}"), plan
-        outcome = await self._each(_ordered(kinds), one)
-        if MissionType.MISSION in kinds:
-            self.items = plan.mission if outcome.ok else None
-        return outcome, plan
+        return await self._each(_ordered(kinds), one), plan
+
+    def count(self, kind: MissionType) -> int | None:
+        """Number of items of that list as last sent or read here, without home; None: not known, or the vehicle reports
+        another list since."""
+        count = self._counts.get(kind)
+        if self._opaque_ids.get(kind) != self._heard_ids.get(kind):
+            return None
+        return None if kind is MissionType.MISSION and self._total not in (None, count) else count
+
+    @property
+    def items(self) -> tuple[MissionItem, ...] | None:
+        """The mission as last sent or read here, with the numbers that it has on board; None as of `count`. One that
+        was lost may have another by now: see `known_items`."""
+        return None if self.count(MissionType.MISSION) is None else self._items
+
+    def _is_known(self, kind: MissionType) -> bool:
+        running = None if self._running is None else self._running[0]
+        changing = running is not None and running.kind is kind and not isinstance(running, MissionDownload)
+        return self.count(kind) is not None and kind not in self._doubted and not changing
+
+    def forget(self, kind: MissionType) -> None:
+        """The vehicle holds another list of that kind than was sent or read here."""
+        self._counts.pop(kind, None)
+        self._opaque_ids.pop(kind, None)
+        if self._running is not None and self._running[0].kind is kind:
+            self._crossed = True
 
     async def known_items(self) -> tuple[MissionItem, ...] | None:
-        """The mission on board, read if it is not known, or is not the one that was sent from here; None: it could not
-        be read."""
-        if self.items is None or self._total not in (None, self.counts.get(MissionType.MISSION)):
+        """The mission on board, read if it is not known, or may not be the one that was sent from here; None: it could
+        not be read."""
+        if not self._is_known(MissionType.MISSION):
             await self.fetch([MissionType.MISSION])
-        return self.items
+        return self.items if self._is_known(MissionType.MISSION) else None
 
     async def fence_shapes(self) -> FencePlan | None:
         """The polygons and circles that it has, downloaded unless it is known to have none; None: not known."""
-        if self.counts.get(MissionType.FENCE) == 0:
+        if self._is_known(MissionType.FENCE) and self.count(MissionType.FENCE) == 0:
             return FencePlan()
         outcome, plan = await self.fetch([MissionType.FENCE])
         return (plan.fence or FencePlan()) if outcome.ok else None
@@ -234,8 +263,6 @@ class Missions:
         self, kinds: tuple[MissionType, ...], transfer: Callable[[MissionType], Awaitable[MissionOutcome]]
     ) -> Outcome:
         """Run one transfer after the other; one outcome states how far they came."""
-        if self._vehicle.duplicate:
-            return duplicate_refusal(self._vehicle)
         texts: list[str] = []
         sent, began = 0, self._loop.time()
         for done, kind in enumerate(kinds):
@@ -261,8 +288,8 @@ class Missions:
             "item": None if self._seq is None else number_of(self._vehicle, self._seq),
             "reached": self._progress.reached,
             "state": STATES.get(self._state),
-            "counts": {kind.word: self.counts.get(kind) for kind in MissionType},
-            "opaque_ids": {kind.word: self.opaque_ids.get(kind) for kind in MissionType},
+            "counts": {kind.word: self.count(kind) for kind in MissionType},
+            "opaque_ids": {kind.word: self._opaque_ids.get(kind) for kind in MissionType},
             "transfer": transfer,
             "last": {kind.word: self.last[kind].as_dict() if kind in self.last else None for kind in MissionType},
         }
@@ -287,8 +314,10 @@ class Missions:
             self._running[0].on_text(text)
 
     def stop(self, result: str, message: str) -> None:
-        """The vehicle is lost or rebooted."""
+        """The vehicle is lost, has rebooted or is no more ours to order: what it holds may change unheard."""
         self._done_upload = None
+        self._doubted.update(MissionType)
+        self._current = b""
         if self._running is not None:
             self._apply(self._running[0].stop(self._loop.time(), result, message))
 
@@ -314,7 +343,13 @@ class Missions:
         try:
             if self._closed:  # while it waited for its turn
                 return MissionOutcome(False, "cancelled", f"cancelled: {self._closed}", protocol.kind, "unchanged")
-            return await self._protocol(protocol, what)
+            if self._vehicle.duplicate:
+                refused = duplicate_refusal(self._vehicle)
+                return MissionOutcome(False, refused.result, refused.message, protocol.kind, "unchanged")
+            outcome = await self._protocol(protocol, what)
+            if outcome.ok and isinstance(protocol, MissionUpload) and protocol.kind is MissionType.MISSION:
+                return await self._feasible(outcome)
+            return outcome
         finally:
             self._lock.release()
 
@@ -322,6 +357,8 @@ class Missions:
         over: asyncio.Future[None] = self._loop.create_future()
         self._running = (protocol, over, what)
         self._done_upload = None
+        self._rejections.clear()
+        self._crossed = False
         self._reported_percent, self._percent = 0, None
         try:
             self._apply(protocol.start(self._loop.time()))
@@ -335,9 +372,28 @@ class Missions:
             self._running = None
             self._timer.set(None)
             if protocol.outcome is not None:
-                self.last[protocol.kind] = replace(protocol.outcome, items=None)
+                self._note(protocol, protocol.outcome)
         assert protocol.outcome is not None
         return protocol.outcome
+
+    def _note(self, protocol: MissionProtocol, outcome: MissionOutcome) -> None:
+        """Note what the vehicle holds after a transfer."""
+        kind, items = protocol.kind, outcome.items or ()
+        self.last[kind] = replace(outcome, items=None)
+        if not outcome.ok or self._crossed:
+            if self._crossed or outcome.state in ("partial", "unknown"):
+                self.forget(kind)
+            return
+        if isinstance(protocol, MissionUpload):
+            self._done_upload = (protocol, self._loop.time())
+        home_first = kind is MissionType.MISSION and keeps_home(self._vehicle) and bool(items)
+        self._counts[kind] = len(items) - home_first
+        self._opaque_ids[kind] = self._heard_ids[kind] = outcome.opaque_id
+        self._doubted.discard(kind)
+        if kind is MissionType.MISSION:
+            self._items = from_wire(items, first_is_home=home_first)
+            self._progress = Progress()  # what was reached was of the one before
+            self._total, self._current = None, b""
 
     def _apply(self, effects: tuple[Effect, ...]) -> None:
         for effect in effects:
@@ -365,14 +421,27 @@ class Missions:
 
     def _on_answer(self, frame: Frame, now: float) -> None:
         fields = frame.fields()
+        if not self._for_us(fields):
+            self._on_answer_elsewhere(frame.name, fields)
+            return
         protocol = None if self._running is None else self._running[0]
         if protocol is None and self._done_upload is not None:
             protocol, done_at = self._done_upload
             if now - done_at > LINGER_S:
                 self._done_upload = protocol = None
-        if protocol is None or fields.get("mission_type", 0) != protocol.kind or not self._for_us(fields):
+        if protocol is None or fields.get("mission_type", 0) != protocol.kind:
             return
         self._apply(protocol.on_message(frame.name, fields, frame.payload, now))
+
+    def _on_answer_elsewhere(self, name: str, fields: dict[str, Any]) -> None:
+        """An answer to another station: it is changing a list if its items are asked for, and has if they are
+        accepted."""
+        accepted = name == "MISSION_ACK" and fields["type"] == ACCEPTED
+        asked = name in ("MISSION_REQUEST_INT", "MISSION_REQUEST")
+        for kind in MissionType:
+            changed = accepted or (asked and not keeps_old(self._vehicle, kind))
+            if changed and fields.get("mission_type", 0) in (kind, ALL_LISTS):
+                self.forget(kind)
 
     def _for_us(self, fields: dict[str, Any]) -> bool:
         sysid, compid = self._commands.own
@@ -385,7 +454,11 @@ class Missions:
         fields = frame.fields()
         seq, state = fields["seq"], fields.get("mission_state", 0)
         total = fields.get("total", 0)  # 0: not sent, 65535: none
-        self._total = None if total in (0, 0xFFFF) else total
+        self._total = 0 if total == 0xFFFF else total or None
+        for kind, offset in ID_OFFSETS.items():
+            number = self._heard_ids[kind] = opaque_id(frame.payload, offset)
+            if number is not None and number == self._opaque_ids.get(kind):
+                self._doubted.discard(kind)
         if self._seq is not None and seq != self._seq:
             number = number_of(self._vehicle, seq)
             self._publish("mission", f"goes on with item {number}", {"item": number})
@@ -393,12 +466,14 @@ class Missions:
             self._publish("mission", STATE_TEXTS[state], {"state": STATES[state]})
         self._seq, self._state = seq, state
         self._progress.on_current(number_of(self._vehicle, seq))
+        self._note_end()
 
     def _on_reached(self, seq: int) -> None:
         number = number_of(self._vehicle, seq)
         if not self._progress.on_reached(number):
             return
-        count = self.counts.get(MissionType.MISSION)
+        self._note_end()
+        count = self.count(MissionType.MISSION)
         of = f" of {count}" if count else ""
         self._publish("mission", f"reached item {number}{of}", {"reached": number, "count": count})
 
@@ -411,7 +486,11 @@ class Missions:
     @property
     def complete(self) -> bool:
         """True if it has reported the last item of the mission that is on board as reached, in this run of it."""
-        return self._progress.complete(self.counts.get(MissionType.MISSION))
+        return self._completed is self._progress
+
+    def _note_end(self) -> None:
+        if self._progress.complete(self.count(MissionType.MISSION)):
+            self._completed = self._progress
 
     @property
     def furthest(self) -> int:
@@ -421,15 +500,6 @@ class Missions:
     def begun(self, item: int | None) -> bool:
         """True if that item of the mission, or a later one, was its current one in this run of it."""
         return item is not None and self._progress.furthest >= item
-
-    def _keep(self, outcome: MissionOutcome, count: int) -> None:
-        self.counts[outcome.kind] = count
-        if outcome.kind is MissionType.MISSION:
-            self._progress = Progress()  # what was reached was of the one before
-        if outcome.opaque_id is None:
-            self.opaque_ids.pop(outcome.kind, None)
-        else:
-            self.opaque_ids[outcome.kind] = outcome.opaque_id
 
     def _publish(self, kind: str, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event(kind, self._vehicle.name, self._vehicle.sysid, text, data))

@@ -175,11 +175,15 @@ class VehicleLogs:
             self._busy = False
 
     def _refusal(self) -> str | None:
-        vehicle = self._vehicle
         if not self._able:
             return f"dialect {self._services.dialect.name} has no messages for onboard logs"
         if self._busy:
             return "a transfer of its logs is in progress"
+        return self._unfit()
+
+    def _unfit(self) -> str | None:
+        """Why no transfer may begin with the vehicle as it is now."""
+        vehicle = self._vehicle
         if vehicle.replayed:
             return "it is heard only in a recording"
         if vehicle.duplicate:
@@ -235,6 +239,9 @@ class VehicleLogs:
                 StoredLog(info.id, file.path, info.size_bytes, info.size_bytes),
                 0,
             )
+        if (why := self._unfit()) is not None:  # since: `stop` ends only what is in progress
+            await self._close(file)
+            return LogOutcome(False, "refused", f"refused: {why}"), None, 0
         # read it from where the file ends, and write beside that
         machine = OnboardLogDownload(info, begin=begin, shared=shared)
         self._chunks.clear()

@@ -327,7 +327,7 @@ class VehicleActor:
         """Note where another vehicle sends with its ids; None: it has stopped. State and control, which use one
         channel, go on."""
         if where is not None:
-            self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
+            self._stop_transfers("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
 
     def set_origin(self, origin: Origin | None, generation: int) -> None:
         """Set the fleet's world frame and its number; see `WorldFrame`."""
@@ -347,10 +347,7 @@ class VehicleActor:
         self.takeoffs.cancel()
         self.offboard.release(text)
         self.commands.stop_unauthorised(text)
-        self.missions.stop("refused", text)
-        self.params.stop_all("refused", text)
-        self._stop_logs("refused", text)
-        self.calibration.stop(text)
+        self._stop_transfers("refused", text)
 
     def restarted(self, text: str, now: float) -> None:
         """It has restarted, or another vehicle has replaced it: drop its state."""
@@ -694,6 +691,8 @@ class VehicleActor:
                 others = self.fence, self.params, self.offboard, self.calibration
                 for reader in (self.commands, self.missions, *others):
                     reader.on_text(event.text)
+            elif event.kind == "armed":
+                self._stop_logs("cancelled", "it was armed; the same command goes on when it is disarmed")
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
@@ -711,7 +710,11 @@ class VehicleActor:
     def _stop_protocols(self, text: str) -> None:
         """End everything that waits for an answer that will not come."""
         self.commands.stop_all("lost", text)
-        self.missions.stop("lost", text)
-        self.params.stop_all("lost", text)
-        self._stop_logs("lost", text)
+        self._stop_transfers("lost", text)
+
+    def _stop_transfers(self, result: str, text: str) -> None:
+        """End every exchange with it that is no order."""
+        self.missions.stop(result, text)
+        self.params.stop_all(result, text)
+        self._stop_logs(result, text)
         self.calibration.stop(text)

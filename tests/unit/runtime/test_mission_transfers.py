@@ -82,8 +82,8 @@ class Storing:
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
 
-    def current(self, seq: int, state: int = 3) -> None:
-        self.vehicle.tell(self.vehicle.say(mav.MAVLink_mission_current_message(seq, 3, state)))
+    def current(self, seq: int, state: int = 3, total: int = 0) -> None:
+        self.vehicle.tell(self.vehicle.say(mav.MAVLink_mission_current_message(seq, total, state)))
 
     def reached(self, seq: int) -> None:
         self.vehicle.tell(self.vehicle.say(mav.MAVLink_mission_item_reached_message(seq)))
@@ -265,6 +265,18 @@ async def test_a_lost_vehicle_ends_its_transfer_at_once() -> None:
         assert outcome.result == "lost" and "the vehicle was lost" in outcome.message
 
 
+async def test_a_second_vehicle_with_its_id_ends_its_transfer_and_those_that_wait() -> None:
+    async with Site() as (ground, storing, actor):
+        tasks = [asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))) for _ in range(2)]
+        await asyncio.sleep(0.25)
+        ground.fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
+        for outcome in await asyncio.gather(*tasks):
+            assert outcome.result == "refused" and "two vehicles with system id 1 are on the air" in outcome.message
+        sent = [s.name for s in ground.sent if s.name.startswith("MISSION_")]
+        assert sent[-1] == "MISSION_ACK" and sent.count("MISSION_COUNT") == 1, "only that it is given up"
+        assert not storing.lists[0].items
+
+
 async def test_transfers_wait_for_their_turn_and_not_without_end() -> None:
     async with Site() as (_, storing, actor):
         storing.mute.add("MISSION_ACK")
@@ -427,3 +439,129 @@ async def test_what_was_reached_in_one_run_does_not_count_in_the_next(order: str
         assert actor.missions.complete
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+
+
+async def _lost(storing: Storing, actor: VehicleActor) -> None:
+    storing.vehicle.silent = True
+    await asyncio.sleep(10.0)
+    assert not actor.vehicle.connected
+    storing.vehicle.silent = False
+    await asyncio.sleep(2.0)
+
+
+async def _restarted(storing: Storing, actor: VehicleActor) -> None:
+    actor.restarted("another vehicle", asyncio.get_running_loop().time())
+
+
+async def _hears(storing: Storing, message: Any) -> None:
+    storing.vehicle.tell(storing.vehicle.say(message))
+    await asyncio.sleep(0.2)
+
+
+CHANGES: dict[str, Any] = {
+    "another station's mission": lambda s, a: _hears(s, mav.MAVLink_mission_ack_message(250, 190, 0, 0)),
+    "another station's fence": lambda s, a: _hears(s, mav.MAVLink_mission_ack_message(250, 190, 0, 1)),
+    "another station clears all": lambda s, a: _hears(s, mav.MAVLink_mission_ack_message(250, 190, 0, 255)),
+    "another station's is refused": lambda s, a: _hears(s, mav.MAVLink_mission_ack_message(250, 190, 4, 255)),
+    "another station's is under way": lambda s, a: _hears(s, mav.MAVLink_mission_request_int_message(250, 190, 1, 0)),
+    "another number of items": lambda s, a: _hears(s, mav.MAVLink_mission_current_message(0, 9)),
+    "none any more": lambda s, a: _hears(s, mav.MAVLink_mission_current_message(0, 0xFFFF)),
+    "lost": _lost,
+    "another vehicle": _restarted,
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "autopilot", "read"),
+    [
+        ("another station's mission", PX4, [MISSION]),
+        ("another station's fence", PX4, [FENCE]),
+        ("another station clears all", PX4, [MISSION, FENCE]),
+        ("another station's is refused", PX4, []),
+        ("another station's is under way", PX4, []),
+        ("another station's is under way", ARDUPILOT, [MISSION]),
+        ("another number of items", ARDUPILOT, [MISSION]),
+        ("none any more", PX4, [MISSION]),
+        ("lost", ARDUPILOT, [MISSION, FENCE]),
+        ("another vehicle", PX4, [MISSION, FENCE]),
+    ],
+)
+async def test_a_list_that_may_have_changed_is_read_again_before_it_is_used(
+    change: str, autopilot: int, read: list[MissionType]
+) -> None:
+    async with Site(autopilot) as (ground, storing, actor):
+        missions = actor.missions
+        assert (await onboard_orders.upload_plan(actor, plan=replace(PLAN, fence=FencePlan()), kinds=(MISSION,))).ok
+        assert (await missions.clear(FENCE)).ok
+        held = await missions.known_items()
+        assert held is not None and len(held) == 4 and await missions.fence_shapes() == FencePlan()
+        assert not [s for s in ground.sent if s.name == "MISSION_REQUEST_LIST"], "nothing is read that is known"
+        storing.lists[0].items[-2:] = [near(90)]
+        storing.lists[1].items = list(PLAN.items(FENCE))
+        await CHANGES[change](storing, actor)
+        now = await missions.known_items(), await missions.fence_shapes()
+        assert [s.mission_type for s in ground.sent if s.name == "MISSION_REQUEST_LIST"] == read
+        assert (len(now[0] or ()), now[1]) == (
+            3 if MISSION in read else 4,
+            PLAN.fence if FENCE in read else FencePlan(),
+        )
+
+
+async def test_a_run_that_has_ended_stays_so_whoever_changes_the_mission_then() -> None:
+    """Else a plan would have it go on, with a mission of somebody else's."""
+    async with Site() as (_, storing, actor):
+        await onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:2]), kinds=(MISSION,))
+        for seq in (0, 1):
+            storing.current(seq)
+            await asyncio.sleep(0.1)
+        await _hears(storing, mav.MAVLink_mission_item_reached_message(1))
+        assert actor.missions.complete
+        await CHANGES["another station's mission"](storing, actor)
+        assert actor.missions.complete and actor.missions.status()["counts"]["mission"] is None
+        actor.missions.run_begins()
+        storing.current(1)
+        await _hears(storing, mav.MAVLink_mission_item_reached_message(0))
+        await _hears(storing, mav.MAVLink_mission_item_reached_message(1))
+        assert not actor.missions.complete, "of which item is the last nothing is known"
+
+
+async def test_what_another_station_changes_meanwhile_is_not_what_was_read() -> None:
+    async with Site() as (_, storing, actor):
+        await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
+        task = asyncio.create_task(actor.missions.download(MISSION))
+        await asyncio.sleep(0.15)
+        await CHANGES["another station's mission"](storing, actor)
+        assert (await task).ok and actor.missions.items is None
+
+
+async def test_a_mission_that_is_being_replaced_is_not_the_one_on_board() -> None:
+    async with Site() as (_, _, actor):
+        await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))
+        task = asyncio.create_task(
+            onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:2]), kinds=(MISSION,))
+        )
+        await asyncio.sleep(0.15)
+        assert len(await actor.missions.known_items() or ()) == 2
+        assert (await task).ok
+
+
+@pytest.mark.parametrize("rejected", [True, False])
+@pytest.mark.parametrize("second", ["upload", "clear"])
+async def test_the_next_transfer_begins_when_a_px4_has_checked_its_mission(second: str, rejected: bool) -> None:
+    """It began before: an upload dropped the reason of a rejection, and a clear was taken for undone."""
+    async with Site() as (_, storing, actor):
+        first = asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,)))
+        await asyncio.sleep(0.7)
+        assert storing.lists[0].items and not first.done()
+        if rejected:
+            await _hears(storing, mav.MAVLink_statustext_message(2, b"Mission rejected: no"))
+        if second == "upload":
+            task = asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(RALLY,)))
+        else:
+            task = asyncio.create_task(onboard_orders.clear_plan(actor, kinds=(MISSION,)))
+        outcome = await first
+        assert outcome.ok is not rejected, outcome.message
+        assert outcome.message.endswith("will not fly them: Mission rejected: no" if rejected else " taken")
+        assert storing.lists[0].items, "the next one waits"
+        assert (await task).ok
+        assert len(actor.missions.items or ()) == (4 if second == "upload" else 0) == len(storing.lists[0].items)

@@ -7,19 +7,22 @@ The tables were read from the firmwares' sources:
     PX4 main, 2026-08   src/modules/mavlink/mavlink_command_params.hpp: parameters that it does not use are refused
     ArduPilot 4.6.3     libraries/AP_Mission/AP_Mission.cpp, mavlink_int_to_mission_cmd, sanity_check_params: accepted
                         the same and ArduCopter/mode_auto.cpp, start_command: flown, or skipped
+    both                the same files, format_mavlink_mission_item and mission_cmd_to_mavlink_int: what they report
 
 `convert` and `refusals` handle one item, `for_firmware` the whole mission. An item is converted first, and `refusals`
-checks the converted item: so the check and the upload have the same result.
+checks the converted item: so the check and the upload have the same result. `same_item` compares a list that was read
+with the one that was sent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import (
+    FENCE_COMMANDS,
     GLOBAL,
     GLOBAL_FRAMES,
     MISSION_FRAME,
@@ -315,6 +318,78 @@ COPTER_SKIPS = frozenset(
 )
 """Accepted, because planes or rovers use them; an ArduCopter skips them."""
 
+ARDUPILOT_NUMBERS = frozenset(
+    {
+        mav_cmd.DO_DIGICAM_CONFIGURE,
+        mav_cmd.DO_DIGICAM_CONTROL,
+        mav_cmd.DO_GIMBAL_MANAGER_PITCHYAW,
+        mav_cmd.NAV_SCRIPT_TIME,
+        mav_cmd.NAV_ATTITUDE_TIME,
+    }
+)
+"""Commands without a position of which an ArduPilot keeps param5 to param7, or some of them."""
+
+ARDUPILOT_ALTERS: Mapping[int, str] = {
+    mav_cmd.NAV_WAYPOINT: "i---",
+    mav_cmd.NAV_LOITER_UNLIM: "--i-",
+    mav_cmd.NAV_LOITER_TURNS: "t-rb",
+    mav_cmd.NAV_LOITER_TIME: "i-sb",
+    mav_cmd.NAV_RETURN_TO_LAUNCH: "----",
+    mav_cmd.NAV_LAND: "i--s",
+    mav_cmd.NAV_TAKEOFF: "i---",
+    mav_cmd.NAV_CONTINUE_AND_CHANGE_ALT: "i---",
+    mav_cmd.NAV_LOITER_TO_ALT: "-i-b",
+    mav_cmd.NAV_SPLINE_WAYPOINT: "i---",
+    mav_cmd.NAV_VTOL_TAKEOFF: "----",
+    mav_cmd.NAV_VTOL_LAND: "i---",
+    mav_cmd.DO_CHANGE_SPEED: "i==-",
+    mav_cmd.DO_SET_HOME: "i---",
+    mav_cmd.DO_RETURN_PATH_START: "----",
+    mav_cmd.DO_LAND_START: "----",
+    mav_cmd.DO_GO_AROUND: "----",
+    mav_cmd.DO_SET_ROI: "i---",
+    mav_cmd.DO_MOUNT_CONTROL: "===-",
+    mav_cmd.DO_SET_CAM_TRIGG_DIST: "=-i-",
+    mav_cmd.DO_VTOL_TRANSITION: "i---",
+    mav_cmd.VIDEO_START_CAPTURE: "i---",
+    mav_cmd.VIDEO_STOP_CAPTURE: "i---",
+}
+"""How an ArduPilot reports param1 to param4, where it may differ from what was sent; see `_ALTERED`. Any other command
+as it was sent. An ArduPlane keeps other parameters of a waypoint: those that it gives back are as they were sent."""
+
+PX4_ALTERS: Mapping[int, str] = {
+    mav_cmd.NAV_WAYPOINT: "==-y",
+    mav_cmd.NAV_LOITER_UNLIM: "--=y",
+    mav_cmd.NAV_LOITER_TIME: "=b=b",
+    mav_cmd.NAV_LAND: "-i-y",
+    mav_cmd.NAV_TAKEOFF: "---y",
+    mav_cmd.NAV_LOITER_TO_ALT: "b=-b",
+    mav_cmd.NAV_ROI: "----",
+    mav_cmd.NAV_VTOL_TAKEOFF: "---y",
+    mav_cmd.NAV_VTOL_LAND: "---y",
+    mav_cmd.DO_SET_ROI_LOCATION: "----",
+    mav_cmd.DO_SET_ROI: "----",
+    mav_cmd.CONDITION_GATE: "----",
+}
+"""The same of a PX4, for items with a position; it keeps the parameters of the others as they are."""
+
+_ALTERED: Mapping[str, Callable[[float], float]] = {
+    "-": lambda value: 0.0,
+    "i": lambda value: float(int(value)),
+    "b": lambda value: float(value > 0),
+    "s": lambda value: -1.0 if value < 0 else 1.0,
+    "t": lambda value: int(256 * value) / 256 if 0 < value < 1 else min(255.0, float(int(value))),
+    "r": lambda value: float(int(value)) if abs(value) <= 255 else 10.0 * max(-255, min(255, int(value / 10))),
+}
+"""Forms of a parameter: dropped, whole, yes or no, direction, turns (a byte), radius (a byte). Besides: "=" as it was
+sent, "y" a heading, in degrees from 0 to 360."""
+
+HEADING_GRID_DEG = 0.01
+"""A PX4 keeps headings in radians."""
+
+ALTITUDE_GRID_M = 0.011
+"""An ArduPilot keeps altitudes in centimetres, and those of rally points in whole metres."""
+
 ARDUPILOT_FRAMES = frozenset({GLOBAL, RELATIVE_ALT, TERRAIN_ALT, MISSION_FRAME})
 MAX_ALTITUDE_M = 83000.0
 """LOCATION_ALT_MAX_M."""
@@ -372,6 +447,56 @@ def convert(item: MissionItem, family: Family, names: Mapping[int, str]) -> tupl
 def refusals(item: MissionItem, family: Family, names: Mapping[int, str]) -> Iterator[tuple[bool, str]]:
     """Reasons why this firmware refuses (True) or skips (False) a converted item."""
     return _px4_refusals(item, names) if family == "px4" else _ardupilot_refusals(item, names)
+
+
+def same_item(sent: MissionItem, kept: MissionItem, family: Family | None) -> bool:
+    """True if the item ``kept``, which the vehicle reports, is the one that was sent, as this firmware keeps it."""
+    if sent.command != kept.command:
+        return False
+    alters, same_place = "====", _same_place(sent, kept)
+    params: Sequence[Sequence[float | None]] = (sent.params, kept.params)
+    if family == "px4":
+        if sent.frame != MISSION_FRAME:
+            alters = PX4_ALTERS.get(sent.command, alters)
+        if sent.command not in FENCE_COMMANDS and sent.autocontinue != kept.autocontinue:
+            return False
+    elif family == "ardupilot":
+        alters, same_place = ARDUPILOT_ALTERS.get(sent.command, alters), _same_place_of_ardupilot(sent, kept)
+        params = [[value or 0.0 for value in item.params] for item in (sent, kept)]
+    return same_place and all(map(_same_param, alters, *params))
+
+
+def same_start(sent: tuple[MissionItem, ...], kept: tuple[MissionItem, ...], family: Family | None) -> int:
+    """Number of equal items from the first on; see `same_item`."""
+    pairs = enumerate(zip(sent, kept, strict=False))
+    return next((n for n, (a, b) in pairs if not same_item(a, b, family)), min(len(sent), len(kept)))
+
+
+def _same_param(alters: str, sent: float | None, kept: float | None) -> bool:
+    if sent == kept:
+        return True
+    if kept is None or alters == "=":
+        return False
+    if alters == "y":
+        return sent is not None and abs((kept - sent + 180) % 360 - 180) <= HEADING_GRID_DEG
+    return kept == _ALTERED[alters](sent or 0.0)
+
+
+def _same_place(sent: MissionItem, kept: MissionItem) -> bool:
+    near = abs((sent.z or 0.0) - (kept.z or 0.0)) <= ALTITUDE_GRID_M
+    return (sent.frame, sent.x, sent.y) == (kept.frame, kept.x, kept.y) and near
+
+
+def _same_place_of_ardupilot(sent: MissionItem, kept: MissionItem) -> bool:
+    """It has no frame but its own for commands without a position, and no altitude of a fence's items."""
+    if sent.command == mav_cmd.NAV_RALLY_POINT:
+        return _same_place(sent, kept) or _same_place(replace(sent, z=float(int(sent.z or 0.0))), kept)
+    if sent.command in FENCE_COMMANDS:
+        return (sent.x, sent.y) == (kept.x, kept.y)
+    if sent.command in ARDUPILOT_PLACED:
+        without_frame = sent.frame == MISSION_FRAME and _same_place(replace(sent, frame=GLOBAL), kept)
+        return without_frame or _same_place(sent, kept)
+    return sent.command not in ARDUPILOT_NUMBERS or _same_place(replace(sent, frame=kept.frame), kept)
 
 
 def px4_order(items: tuple[MissionItem, ...]) -> Iterator[tuple[int, str]]:

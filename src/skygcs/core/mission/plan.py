@@ -20,10 +20,6 @@ PLACELESS = frozenset(
 MAV_FRAME_MISSION only, which Mission Planner's files do not use."""
 
 
-ALTITUDE_GRID_M = 0.011
-"""An ArduPilot keeps altitudes in centimetres."""
-
-
 @dataclass(frozen=True, slots=True)
 class PlannedHome:
     """Home of the plan; its altitude is AMSL."""
@@ -91,19 +87,6 @@ class MissionPlan:
                 return replace(self, fence=fence_from_items(items))
             case MissionType.RALLY:
                 return replace(self, rally=items)
-
-
-def same_item(sent: MissionItem, kept: MissionItem) -> bool:
-    """True if the list ``kept`` that a vehicle reports matches what was sent; it may drop parameters that it does not
-    use."""
-    near = abs((sent.z or 0.0) - (kept.z or 0.0)) <= ALTITUDE_GRID_M
-    return (sent.command, sent.x, sent.y) == (kept.command, kept.x, kept.y) and near
-
-
-def same_start(sent: tuple[MissionItem, ...], kept: tuple[MissionItem, ...]) -> int:
-    """Number of equal items from the first on."""
-    pairs = enumerate(zip(sent, kept, strict=False))
-    return next((n for n, (a, b) in pairs if not same_item(a, b)), min(len(sent), len(kept)))
 
 
 def shifted_jumps(items: tuple[MissionItem, ...], by: int) -> tuple[MissionItem, ...]:

@@ -74,8 +74,9 @@ ListState = Literal["complete", "cleared", "unchanged", "partial", "unknown"]
 class MissionOutcome:
     """Outcome of a transfer. ``message``: for the user, with the state of the vehicle's list if that is in doubt.
 
-    ``result``: accepted denied unsupported failed cancelled timeout lost. ``items`` are those downloaded, else None;
-    ``opaque_id`` is the vehicle's own number for its list, None where it has none; ``sent``: messages sent.
+    ``result``: accepted denied unsupported failed cancelled timeout lost. ``items``: those on board, as on the wire,
+    after a transfer that was accepted, else None; ``opaque_id`` is the vehicle's own number for its list, None where it
+    has none; ``sent``: messages sent.
     """
 
     ok: bool
@@ -258,7 +259,7 @@ class MissionClear(MissionProtocol):
         if self.done or self._refusal is not None or not self.sent:
             return ()
         if result == ACCEPTED:
-            return self._end(now, "accepted", f"the {self.kind.word} is cleared", "cleared", number=number)
+            return self._end(now, "accepted", f"the {self.kind.word} is cleared", "cleared", (), number)
         self._refusal = result
         self.deadline = now + SETTLE_S
         return ()

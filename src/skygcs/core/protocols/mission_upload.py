@@ -33,8 +33,8 @@ from collections.abc import Mapping, Sequence
 from enum import Enum, auto
 from typing import Any
 
+from skygcs.core.mission.firmware_items import Family, same_start
 from skygcs.core.mission.item import MAX_ITEMS, MissionItem, MissionType
-from skygcs.core.mission.plan import same_item
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import SETTLE_S
 from skygcs.core.protocols.mission import (
@@ -84,7 +84,8 @@ class MissionUpload(MissionProtocol):
 
     ``keeps_old``: the vehicle holds its old list until the new one is whole (PX4; an ArduPilot's fence), instead of
     writing item over item. ``first_number``: what the first item is called in messages; ``home_first``: it is an
-    ArduPilot's home, which the vehicle may keep its own in place of.
+    ArduPilot's home, which the vehicle may keep its own in place of. ``family``: whose way of keeping items
+    the list that is read back is compared by; None: they have to be as they were sent.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class MissionUpload(MissionProtocol):
         keeps_old: bool,
         first_number: int = 1,
         home_first: bool = False,
+        family: Family | None = None,
     ) -> None:
         if not 0 < len(items) <= MAX_ITEMS:
             raise ValueError(f"{len(items)} items cannot be uploaded; 1 to {MAX_ITEMS} can")
@@ -104,6 +106,7 @@ class MissionUpload(MissionProtocol):
         self._keeps_old = keeps_old
         self._first = first_number
         self._home_first = home_first
+        self._family = family
         self._wait = RoundTrip()
         self._rounds = 1
         self._tries = 0
@@ -245,17 +248,16 @@ class MissionUpload(MissionProtocol):
         return passed
 
     def _same(self, held: tuple[MissionItem, ...]) -> bool:
-        """True if the vehicle holds what was sent, as far as can be seen: it may drop parameters that it has no use
-        for, and its home is its own."""
-        pairs = list(zip(self._items, held, strict=False))[self._home_first :]
-        return len(held) == len(self._items) and all(same_item(sent, kept) for sent, kept in pairs)
+        """True if the vehicle holds what was sent, in its own form; its home is its own."""
+        same = same_start(self._items[self._home_first :], held[self._home_first :], self._family)
+        return len(held) == len(self._items) == same + self._home_first
 
     def _accepted(self, now: float, how: str, number: int | None) -> tuple[Effect, ...]:
         count = len(self._items) - self._home_first
         self.state = UploadState.DONE
         self._ended = now
         text = f"{count} {self.kind.word} item{'s' if count != 1 else ''} taken{how}"
-        return self._end(now, "accepted", text, "complete", number=number)
+        return self._end(now, "accepted", text, "complete", self._items, number)
 
     def _late_answer(self, seq: int, now: float) -> tuple[Effect, ...]:
         ok = self.outcome is not None and self.outcome.ok

@@ -94,10 +94,11 @@ def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType, dialect: Dia
 
 def converted(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect) -> Converted:
     """The plan's mission in the form this vehicle's firmware takes, and the changes made for that."""
-    return for_firmware(plan.mission, _family(vehicle), dialect.enums.get("MAV_CMD", {}))
+    return for_firmware(plan.mission, firmware_family(vehicle), dialect.enums.get("MAV_CMD", {}))
 
 
-def _family(vehicle: Vehicle) -> Family | None:
+def firmware_family(vehicle: Vehicle) -> Family | None:
+    """Whose tables in `core.mission.firmware_items` are its own; None: neither firmware's."""
     return None if vehicle.family == "generic" else vehicle.family
 
 
@@ -120,7 +121,9 @@ def findings(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect, limit_m: flo
     place = None
     if position is not None and position["lat_deg"] is not None:
         place = (position["lat_deg"], position["lon_deg"])
-    return check_plan(plan, dialect, CheckLimits(max_distance_m=limit_m), family=_family(vehicle), vehicle=place)
+    return check_plan(
+        plan, dialect, CheckLimits(max_distance_m=limit_m), family=firmware_family(vehicle), vehicle=place
+    )
 
 
 def require_uploadable(

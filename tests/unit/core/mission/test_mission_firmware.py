@@ -14,7 +14,16 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.mav_cmd import NAV_RALLY_POINT
 from skygcs.core.mission import firmware_items, px4_events
 from skygcs.core.mission.check import check_plan, errors
-from skygcs.core.mission.firmware_items import Family, convert, for_firmware, grouped, px4_order, refusals
+from skygcs.core.mission.firmware_items import (
+    Family,
+    convert,
+    for_firmware,
+    grouped,
+    px4_order,
+    refusals,
+    same_item,
+    same_start,
+)
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FENCE_COMMANDS, UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, to_wire
@@ -271,3 +280,67 @@ def test_conversion_is_done_once_and_for_all(given_item: MissionItem) -> None:
             assert convert(made, family, NAMES) == (made, [])
             list(refusals(made, family, NAMES))
             list(refusals(replace(made, params=(None,) * 4), family, NAMES))
+
+
+HOLD = item(16, 2.5, 30, 0, -90, LAT, LON, 20)
+CIRCLE = MissionItem(5003, 0, (50.0, 0.0, 0.0, 0.0), 1, 2)
+
+
+@each(
+    ("family", "sent", "kept"),
+    [
+        # mavlink_int_to_mission_cmd and back, ArduPilot 4.6.3
+        ("ardupilot", HOLD, item(16, 2, 0, 0, 0, LAT, LON, 20)),
+        ("ardupilot", HOLD, item(16, 2, 0, 0, 0, LAT, LON, 20.01)),
+        ("ardupilot", item(16, 0, 30, 5, 0, LAT, LON, 20), item(16, 0, 30, 5, 0, LAT, LON, 20)),  # ArduPlane
+        ("ardupilot", item(17, 0, 0, -20.5, None, LAT, LON, 20), item(17, 0, 0, -20, 0, LAT, LON, 20)),
+        ("ardupilot", item(18, 0.5, 0, -307, 1, LAT, LON, 20), item(18, 0.5, 0, -300, 1, LAT, LON, 20)),
+        ("ardupilot", item(18, 2.5, 0, 80.5, 0, LAT, LON, 20), item(18, 2, 0, 80, 0, LAT, LON, 20)),
+        ("ardupilot", item(19, 7, 0, 0, None, LAT, LON, 20), item(19, 7, 0, 1, 0, LAT, LON, 20)),
+        ("ardupilot", item(21, 0, 1, 0, None, LAT, LON), item(21, 0, 0, 0, 1, LAT, LON)),
+        ("ardupilot", item(22, 15.5, 0, 0, 90, LAT, LON, 20), item(22, 15, 0, 0, 0, LAT, LON, 20)),
+        ("ardupilot", item(178, 1, 3.5, -1, 1, frame=2), item(178, 1, 3.5, -1, 0, frame=0)),
+        ("ardupilot", item(20, 0, 0, 0, 0, LAT, LON, 20), item(20, frame=0)),
+        ("ardupilot", item(205, -90, 0, 0, 0, 0, 0, 3, frame=2), item(205, -90, 0, 0, 0, 0, 0, 2, frame=0)),
+        ("ardupilot", item(189, 0, 0, 0, 0, frame=2), item(189, frame=0)),
+        ("ardupilot", item(5000, 0, 0, 0, 0, LAT, LON, 30), item(5000, 0, 0, 0, 0, LAT, LON, 0, frame=0)),
+        ("ardupilot", item(5100, 0, 0, 0, 0, LAT, LON, 15.7), item(5100, 0, 0, 0, 0, LAT, LON, 15)),
+        # parse_mavlink_mission_item and format_mavlink_mission_item, PX4 v1.16.1
+        ("px4", HOLD, item(16, 2.5, 30, 0, 270.00001, LAT, LON, 20, frame=6)),
+        ("px4", item(16, 0, 0, 7, None, LAT, LON, 20), item(16, 0, 0, 0, None, LAT, LON, 20)),
+        ("px4", item(19, 7, 5, 30, None, LAT, LON, 20), item(19, 7, 1, 30, 0, LAT, LON, 20)),
+        ("px4", item(22, 15, 0, 0, 0, LAT, LON, 20), item(22, 0, 0, 0, 359.99999, LAT, LON, 20)),
+        ("px4", item(31, 1, -40, 0, 1, LAT, LON, 20), item(31, 1, -40, 0, 1, LAT, LON, 20)),
+        ("px4", item(195, 0, 0, 0, 0, LAT, LON, 20), item(195, 0, 0, 0, 0, LAT, LON, 20)),
+        ("px4", item(178, 1, 3.5, -1, 0, frame=2), item(178, 1, 3.5, -1, 0, frame=2)),
+        ("px4", CIRCLE, replace(CIRCLE, frame=5, autocontinue=False)),
+    ],
+)
+def test_an_item_that_a_firmware_has_taken_is_known_again(family: Family, sent: MissionItem, kept: MissionItem) -> None:
+    assert same_item(sent, kept, family) and same_item(sent, sent, family) and same_item(sent, sent, None)
+    assert same_start((sent, sent), (kept, replace(kept, command=0), kept), family) == 1
+
+
+@each(
+    ("families", "sent", "kept"),
+    [
+        ("px4 ardupilot", CIRCLE, replace(CIRCLE, params=(500.0, 0.0, 0.0, 0.0))),
+        ("px4 ardupilot", replace(CIRCLE, command=5001, params=(4.0, 0.0, 0.0, 0.0)), replace(CIRCLE, command=5001)),
+        ("px4 ardupilot", item(16, 0, 0, 0, None, LAT, LON, 20), item(16, 0, 0, 0, None, LAT, LON, 20, frame=0)),
+        ("px4 ardupilot", item(16, 0, 0, 0, None, LAT, LON, 20), item(16, 5, 0, 0, None, LAT, LON, 20)),
+        ("px4 ardupilot", item(16, 5, 0, 0, None, LAT, LON, 20), item(16, 0, 0, 0, None, LAT, LON, 20)),
+        ("px4 ardupilot", item(178, 1, 15, -1, frame=2), item(178, 1, 3, -1, frame=2)),
+        ("px4 ardupilot", item(178, 1, 3.5, -1, frame=2), item(178, 1, 3, -1, frame=2)),
+        ("px4 ardupilot", item(5100, 0, 0, 0, 0, LAT, LON, 20), item(5100, 0, 0, 0, 0, LAT, LON, 20, frame=0)),
+        ("px4", item(16, 0, 0, 0, None, LAT, LON, 20), item(16, 0, 0, 0, 0, LAT, LON, 20)),
+        ("px4", item(16, 0, 0, 0, 90, LAT, LON, 20), item(16, 0, 0, 0, 91, LAT, LON, 20)),
+        ("px4 ardupilot", item(5100, 0, 0, 0, 0, LAT, LON, 16), item(5100, 0, 0, 0, 0, LAT, LON, 15)),
+        ("px4", WAYPOINT, replace(WAYPOINT, autocontinue=False)),
+        ("ardupilot", item(1000, 1, 2, 3, 4, 16, 0, 1, frame=2), item(1000, 1, 2, 3, 4, 16, 0, 2, frame=2)),
+    ],
+)
+def test_another_item_is_not_taken_for_the_one_that_was_sent(
+    families: str, sent: MissionItem, kept: MissionItem
+) -> None:
+    for family in ("px4", "ardupilot"):
+        assert family not in families.split() or not same_item(sent, kept, family)

@@ -177,6 +177,27 @@ def test_a_lost_last_ack_is_found_out_by_reading_back() -> None:
     assert outcome.opaque_id == opaque_of(items)
 
 
+class DeafForItems(Px4Mission):
+    """No item reaches it until it has given the first upload up, at 5 s."""
+
+    deaf_until = 106.5
+
+    def on_item(self, seq: int, item: MissionItem) -> list[Reply]:
+        return super().on_item(seq, item) if self.now > self.deaf_until else []
+
+
+@each("before", [(5003, 0, 500.0), (5003, 3, 50.0), (5001, 0, 50.0)])
+def test_an_old_list_that_differs_in_any_number_is_not_taken_for_the_new_one(before: tuple[int, int, float]) -> None:
+    """A fence's circle of another radius was; it came to "accepted", and the vehicle held the old one."""
+    command, frame, radius_m = before
+    new = [MissionItem(5003, 0, (50.0, 0.0, 0.0, 0.0), 437800000, -794600000, 0.0)]
+    old = MissionItem(command, frame, (radius_m, 0.0, 0.0, 0.0), 437800000, -794600000, 0.0)
+    vehicle = DeafForItems(items=[old], kind=MissionType.FENCE)
+    exchange = MissionUpload(MissionType.FENCE, new, keeps_old=True, family="px4")
+    outcome = outcome_of(MissionRig(exchange, vehicle).run())
+    assert outcome.ok and vehicle.items == new, outcome.message
+
+
 def test_what_the_vehicle_holds_otherwise_is_no_success() -> None:
     class Forgets(LosesLastAck):
         def on_list(self) -> list[Reply]:
