@@ -20,6 +20,7 @@ from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.ext.plans.certificates import certify as certifying
 from skygcs.ext.plans.certificates.bernstein_arrays import gathered
 from skygcs.ext.plans.certificates.certify import MAX_NAMED, certify, motions_of
+from skygcs.ext.plans.certificates import space_check
 from skygcs.ext.plans.certificates.space_check import breaches
 from support.examples import examples
 from support.table import each
@@ -335,6 +336,35 @@ def test_no_sample_is_beyond_a_fence_that_was_kept(east, north, fence) -> None:
         assert min(inside) >= 0.5 - 1e-9
     else:
         assert min(inside) < 0.5 + 0.5  # a sample near the breach
+    east_m, north_m, up_m = trajectory.at(0.5).pos_enu_m
+    (found,) = breaches([hover((east_m, north_m, up_m), 1.0)], [1000.0], FlightSpace(fence=fence))
+    wanted_m = _distance_to(fence, (east_m, north_m))
+    assert found.distance_m == pytest.approx(wanted_m, abs=1e-9) or abs(wanted_m) < 1e-6
+
+
+@each(
+    ("up_m", "space", "distance_m"),
+    [
+        (-3.0, FlightSpace(ceiling_m=0.0), 3.0),
+        (-0.5, FlightSpace(floor_m=0.0), -0.5),
+        (10.0, FlightSpace(boxes=(((-3.0, -2.0, 0.0), (3.0, 2.5, 30.0)),)), -2.0),
+        (10.0, FlightSpace(boxes=(((-3.0, -0.4, 0.0), (3.0, 2.5, 30.0)),)), -0.4),
+        (10.0, FlightSpace(boxes=(((3.0, 4.0, 0.0), (9.0, 9.0, 30.0)),)), 5.0),
+    ],
+)
+def test_a_breach_says_how_far_it_is_from_its_wall(up_m: float, space: FlightSpace, distance_m: float) -> None:
+    (found,) = breaches([hover((0.0, 0.0, up_m), 1.0)], [1000.0], space)
+    assert found.distance_m == pytest.approx(distance_m)
+    assert breaches([], [], space) == []
+
+
+def test_what_is_not_decided_when_halving_ends_counts_as_too_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    curve = Trajectory([Piece(1.0, (0.0, 4.0, 3.0, -5.0), (0.0,), (10.0, 10.0, -5.0, -5.0))])
+    space = FlightSpace(ceiling_m=15.5)
+    assert breaches([curve], [0.9], space) == []
+    monkeypatch.setattr(space_check, "MAX_PARTS", 1)
+    (found,) = breaches([curve], [0.9], space)
+    assert (found.vehicle, found.what, found.distance_m, found.t_s) == (0, "the ceiling", 5.5, 0.0)
 
 
 def _distance_to(corners, point) -> float:
