@@ -83,15 +83,12 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "../integration/test_engage_after_takeoff.py",
             "../integration/test_takeoff_height.py",
         ),
-        "core/vehicle/shared_ids.py": ("core/vehicle/test_vehicle.py", "runtime/test_fleet.py"),
+        "core/vehicle/shared_ids.py": ("core/vehicle/test_shared_ids.py",),
         "back_off.py": ("test_back_off.py",),
     },
     "unattended": {
-        "core/vehicle/unattended.py": ("core/vehicle/test_unattended.py",),
-        "runtime/unattended_holds.py": (
-            "../integration/test_unattended.py",
-            "../integration/test_hold_and_lost_station.py",
-        ),
+        "core/vehicle/unattended.py": ("core/vehicle/test_unattended.py", "runtime/test_unattended_holds.py"),
+        "runtime/unattended_holds.py": ("runtime/test_unattended_holds.py",),
         "runtime/flight_notes.py": ("../integration/test_restart_in_flight.py", "runtime/test_fleet.py"),
     },
     "returns": {

@@ -19,10 +19,10 @@ from skygcs.core.plan.segment_distance import SLACK_M, segment_segment
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, motion_peaks
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.ext.plans.certificates import certify as certifying
+from skygcs.ext.plans.certificates import space_check
 from skygcs.ext.plans.certificates.bernstein_arrays import gathered
 from skygcs.ext.plans.certificates.certificate import SpaceProblem
 from skygcs.ext.plans.certificates.certify import MAX_NAMED, certify, motions_of
-from skygcs.ext.plans.certificates import space_check
 from skygcs.ext.plans.certificates.space_check import breaches
 from support.examples import examples
 from support.table import each
