@@ -9,6 +9,7 @@ from skygcs.core.vehicle.shared_ids import BESIDE_OVER_S, REPORT_AGAIN_S, Findin
 from support.table import each
 
 NEVER = -1e9
+OVER_S = 1.5 + BESIDE_OVER_S
 
 
 class Rig:
@@ -45,19 +46,19 @@ def test_heartbeats_of_others_are_reported_once_a_minute_with_their_number(
 def test_two_vehicles_are_over_when_neither_heartbeats_nor_clocks_contradict_and_begin_anew() -> None:
     rig = Rig()
     rig.beat("duplicate", 0.0)
-    rig.heartbeats.contradicted_at = 0.0
-    assert rig.tick(BESIDE_OVER_S) is None
+    rig.heartbeats.contradicted_at = 1.0
+    assert rig.tick(1.0 + BESIDE_OVER_S) is None
     for holds in ({"alternating": True}, {}):
         rig.heartbeats.alternating, rig.two_clocks = bool(holds), not holds
-        assert rig.tick(BESIDE_OVER_S + 1.0) is None and rig.ids.beside
+        assert rig.tick(OVER_S) is None and rig.ids.beside
     rig.two_clocks = False
-    over = rig.tick(BESIDE_OVER_S + 1.0)
+    over = rig.tick(OVER_S)
     assert over is not None and over[2] == {"change": "duplicate_over"} and not rig.ids.beside
-    assert rig.tick(BESIDE_OVER_S + 2.0) is None
+    assert rig.tick(OVER_S + 1.0) is None
     # the same one within the minute of its report
-    again = rig.beat("duplicate", BESIDE_OVER_S + 3.0)
+    again = rig.beat("duplicate", OVER_S + 2.0)
     assert again is not None and again[2] == {"change": "duplicate"} and rig.ids.beside
-    assert rig.beat("duplicate", BESIDE_OVER_S + 4.0) is None
+    assert rig.beat("duplicate", OVER_S + 3.0) is None
 
 
 def test_a_second_clock_is_a_second_vehicle_and_reported_once() -> None:
@@ -66,6 +67,7 @@ def test_a_second_clock_is_a_second_vehicle_and_reported_once() -> None:
     rig.two_clocks = True
     found = rig.ids.on_clock(rig.boot, 1.0)
     assert found is not None and found[2] == {"change": "duplicate", "sysid": 7} and rig.ids.beside
+    assert found[1].startswith("two vehicles with system id 7 send on one link: their clocks")
     assert rig.ids.on_clock(rig.boot, 2.0) is None
 
 
