@@ -49,6 +49,10 @@ class PlayedHub:
         entry = self.found(key)
         return None if entry is None else decode_entry(entry[1], entry[0]).holder
 
+    def since(self) -> Any:
+        found = self.found("north.alpha")
+        return None if found is None else from_json(found[1])["since_s"]
+
 
 class PlayedBus:
     """One site's connection to the hub, in the place of `Bus`; also its store."""
@@ -59,7 +63,7 @@ class PlayedBus:
         self.counters = SimpleNamespace(connections=1)
         self.server_info = {"server_id": "hub"}
         self.served: dict[str, OnRequest] = {}
-        self.writes = 0
+        self.writes = self.inspections = 0
         self._observers: list[Callable[[], None]] = []
         hub.buses.append(self)
 
@@ -98,6 +102,7 @@ class PlayedBus:
 
     async def stream_info(self, name: str) -> Any:
         await self._way()
+        self.inspections += 1
         return SimpleNamespace(
             config=SimpleNamespace(max_age=self.hub.max_age),
             created=self.hub.created,
@@ -206,14 +211,17 @@ async def test_the_home_holds_it_first_and_who_asks_gets_it_and_gives_it_back() 
         assert row is not None and (row.holder, row.revision) == ("north", hub.revision)
         assert 0.0 < row.remaining_s <= VALID_S
         assert south.leases.lease_of("alpha").holder == "north" and north.leases.lease_of("other") is None
-        taken = await south.call("federation.take", "alpha")
+        taken = await south.call("federation.take", "alpha", without_hub=False)
         assert (taken["holder"], taken["held"], south.sends, north.sends) == ("south", True, True, False)
         assert "federation: alpha goes to south, which asked for it" in north.texts()
         assert await south.methods["federation.leases"]({}) == [south.lease()]
         assert (await south.call("federation.take", "alpha"))["held"], "it has it already"
-        writes = south.bus.writes
+        writes, inspections, since = south.bus.writes, south.bus.inspections, hub.since()
         await asyncio.sleep(10.0)  # renewed, and nobody takes it back
         assert south.sends and 8 <= south.bus.writes - writes <= 12
+        assert (south.bus.inspections, hub.since()) == (inspections, since), "renewed as it was taken"
+        assert north.asked.count("authority.revoke") <= 2, "what its daemon has confirmed is not repeated"
+        assert "does not answer" not in north.texts() + south.texts()
         given = await south.call("federation.release", "north/alpha")
         assert (given["held"], south.sends, hub.holder()) == (False, False, None)
         await north.until(lambda: north.sends)  # its home
@@ -332,6 +340,15 @@ async def test_a_daemon_that_has_had_a_newer_token_refuses_and_one_that_fails_is
         await north.until(lambda: north.leases.problem == "the daemon: no")
 
 
+async def test_a_part_that_fails_ends_the_whole_and_with_it_the_grants() -> None:
+    async with sites() as (north, _, __):
+        north.answers["authority.grant"] = lambda: _error(ValueError("broken"))
+        await north.until(north.running.done)
+        assert isinstance(north.running.exception(), ValueError)
+        await asyncio.sleep(VALID_S)
+        assert not north.sends
+
+
 async def test_a_new_run_of_the_daemon_counts_as_another_holder_until_the_old_lease_has_ended() -> None:
     async with sites() as (north, south, hub):
         north.link.client = None
@@ -386,7 +403,7 @@ async def _state(control: str | None) -> Any:
     return {"control": None if control is None else {"state": control}}
 
 
-async def _error(error: RpcError) -> Any:
+async def _error(error: Exception) -> Any:
     raise error
 
 
