@@ -95,6 +95,7 @@ def test_an_order_that_was_denied_meanwhile_gives_no_further_grace(rig: Rig) -> 
 
 def test_one_that_was_in_the_mode_when_it_was_heard_first_is_left_alone() -> None:
     assert Rig().show(NOBODY, 20.0) == []
+    assert Rig().show(replace(LOITER, mode="AUTO.LOITER"), 1.0) == []
 
 
 def test_one_that_was_flown_between_two_looks_only_is_held(rig: Rig) -> None:
