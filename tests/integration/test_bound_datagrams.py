@@ -14,7 +14,7 @@ from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.links import fast_path
 from skygcs.links.udp import UdpServerLink
 from support.daemons import made_daemon, started
-from support.hosts import until
+from support.hosts import drained, until
 from support.routed import DIALECT, heartbeat, message
 
 PROGRAMS = {"plain": {"vehicles": [5]}, "turned": {"vehicles": [5], "translated_sysid": 1}, "other": {"vehicles": [6]}}
@@ -33,15 +33,6 @@ def sockets() -> Iterator[dict[str, socket.socket]]:
     yield made
     for sock in made.values():
         sock.close()
-
-
-def drained(sock: socket.socket) -> list[bytes]:
-    got = []
-    while True:
-        try:
-            got.append(sock.recv(65536))
-        except BlockingIOError:
-            return got
 
 
 def turned(data: bytes) -> bytes:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.conditions import Conditions
+from support.companion_pair import Point, circle
 from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
@@ -20,16 +21,6 @@ WINDY = Conditions(wind_enu_mps=(5.0, 0.0, 0.0), gust_mps=1.0)
 HEIGHT_M = 10.0
 STREAM_HZ = 5.0
 LOSS = 0.1
-
-Point = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-"""Position, velocity and acceleration across."""
-
-
-def circle(t: float) -> Point:
-    """5 m about the origin at 2 m/s."""
-    r, w = 5.0, 0.4
-    c, s = math.cos(w * t), math.sin(w * t)
-    return (r * c, r * s), (-r * w * s, r * w * c), (-r * w * w * c, -r * w * w * s)
 
 
 async def rms_m(gcs: Flown, path: Callable[[float], Point], seconds: float, *, loss: float = LOSS) -> float:

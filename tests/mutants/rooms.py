@@ -51,11 +51,51 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "ext/plans/certificates/test_closest_approach.py",
             "ext/plans/certificates/test_certify.py",
         ),
+        "ext/plans/certificates/space_check.py": ("ext/plans/certificates/test_certify.py",),
+        "ext/plans/certificates/bernstein_arrays.py": (
+            "ext/plans/certificates/test_closest_approach.py",
+            "ext/plans/certificates/test_certify.py",
+        ),
+        "ext/plans/certificates/certificate.py": (
+            "ext/plans/certificates/test_certify.py",
+            "ext/plans/flight/test_plan_preparation.py",
+        ),
+        "ext/plans/certificates/plan_search.py": ("ext/plans/certificates/test_plan_search.py",),
+        "ext/plans/certificates/layered_flight.py": ("ext/plans/certificates/test_plan_search.py",),
     },
     "leases": {
         "ext/federation/protocol/lease.py": (
             "ext/federation/protocol/test_lease_steps.py",
             "ext/federation/protocol/test_lease.py",
-        )
+        ),
+        "ext/federation/protocol/lease_store.py": ("ext/federation/protocol/test_lease_store.py",),
+        "ext/federation/bridge/leases.py": ("ext/federation/bridge/test_leases.py",),
+    },
+    "send-gates": {"core/routing/send_gates.py": ("core/routing/test_send_gates.py",)},
+    "orders": {
+        "runtime/order_runner.py": (
+            "runtime/test_vehicle_actor.py",
+            "runtime/test_stop_orders.py",
+            "../integration/test_orders_as_they_come.py",
+        ),
+        "runtime/takeoffs.py": (
+            "runtime/test_vehicle_actor.py",
+            "../integration/test_engage_after_takeoff.py",
+            "../integration/test_takeoff_height.py",
+        ),
+        "core/vehicle/shared_ids.py": ("core/vehicle/test_shared_ids.py",),
+        "back_off.py": ("test_back_off.py",),
+    },
+    "unattended": {
+        "core/vehicle/unattended.py": ("core/vehicle/test_unattended.py", "runtime/test_unattended_holds.py"),
+        "runtime/unattended_holds.py": ("runtime/test_unattended_holds.py",),
+        "runtime/flight_notes.py": ("../integration/test_restart_in_flight.py", "runtime/test_fleet.py"),
+    },
+    "returns": {
+        "runtime/returns.py": (
+            "../integration/test_returns_that_hold.py",
+            "../integration/test_returns_at_once.py",
+            "../integration/test_returns.py",
+        ),
     },
 }

@@ -37,6 +37,7 @@ from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.route_reports import RouteReports
 from support.frames import dialect, noise, unknown_frame, with_bit_errors
+from support.hosts import drained
 from support.services import Notes, list_recorder
 
 PEERS = 3
@@ -194,7 +195,7 @@ class Station:
             for _ in range(3):
                 self.loop.run_until_complete(asyncio.sleep(0))
             _wait_delivered([link._socket for link in self.links])
-            got += [_drain(s) for s in (*self.sinks, *self.peers)]
+            got += [drained(s) for s in (*self.sinks, *self.peers)]
             self.loop.now += STEP_S
             self.fleet.tick(self.loop.now)
             if number % 3 == 0:
@@ -296,15 +297,6 @@ def _wait_delivered(socks: list[socket.socket | None]) -> None:
     for sock in socks:
         while sock is not None and any(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4))):
             time.sleep(0.0005)
-
-
-def _drain(sock: socket.socket) -> list[bytes]:
-    got = []
-    while True:
-        try:
-            got.append(sock.recv(65536))
-        except BlockingIOError:
-            return got
 
 
 def _all_of(f: Frame) -> tuple[Any, ...]:

@@ -11,6 +11,7 @@ from skygcs.links import fast_path
 from skygcs.links.address import Address
 from support.fast_path import AMPLE, encoded
 from support.frames import dialect
+from support.hosts import drained
 
 __all__ = ["AMPLE", "Bench", "Channel", "ParserCounts", "Slot", "attitude"]
 
@@ -107,12 +108,7 @@ class Bench:
 
     def received(self) -> list[bytes]:
         """What the ground station got since the last call."""
-        got = []
-        while True:
-            try:
-                got.append(self.station.recv(65536))
-            except BlockingIOError:
-                return got
+        return drained(self.station)
 
     def close(self) -> None:
         self.fast_path.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -110,6 +111,16 @@ class RecordingHost:
     def raws(self) -> list[bytes]:
         """The frames heard, as bytes."""
         return [frame.raw for _, frame in self.heard]
+
+
+def drained(sock: socket.socket) -> list[bytes]:
+    """All datagrams that wait in it."""
+    got = []
+    while True:
+        try:
+            got.append(sock.recv(65536))
+        except BlockingIOError:
+            return got
 
 
 async def until(condition: Callable[[], object], within_s: float = 10.0) -> None:

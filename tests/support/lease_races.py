@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import SimpleNamespace
 from typing import Any
 
 from skygcs.config.files import boot_s
 from skygcs.events import Event
 from skygcs.ext.federation.authority import Authority
-from skygcs.ext.federation.bridge.bus import Bus
 from skygcs.ext.federation.bridge.leases import Leases
 from skygcs.ext.federation.config import SharedVehicle
 from skygcs.ext.federation.protocol.lease import NEW_HUB_S, State
@@ -21,13 +20,19 @@ RACERS = ("north", "south")
 USERS = {name: {"role": "site", "orders": ["*"]} for name in (*RACERS, "east")}
 """The vehicles' home is not there: it would take what is free."""
 
+OF_EAST = SharedVehicle(home="east", without_hub="stop")
+Clock = Callable[[], float]
+
 
 class GateLink:
     """In the place of the connection to a daemon: a real gate."""
 
-    def __init__(self, site: str, vehicles: list[str]) -> None:
+    def __init__(self, site: str, vehicles: Iterable[str], clock: Callable[[], float]) -> None:
         self.gate = Authority(site, {name: i for i, name in enumerate(vehicles)})
         self.client: object | None = None
+        self.control: dict[str, str] | None = {"state": "flying"}
+        """Of each vehicle. Who flies one by setpoints does not hand it over."""
+        self._clock = clock
         self._observers: list[Callable[[], None]] = []
 
     def on_change(self, observer: Callable[[], None]) -> None:
@@ -40,7 +45,7 @@ class GateLink:
         await asyncio.Event().wait()
 
     async def call(self, method: str, **params: Any) -> Any:
-        gate, now = self.gate, boot_s()
+        gate, now = self.gate, self._clock()
         match method:
             case "authority.status":
                 states = {name: gate.status_of(sysid, now) for name, sysid in gate.vehicles.items()}
@@ -53,28 +58,30 @@ class GateLink:
                 gate.revoke(params["vehicle"], token=params["token"], hub=params["hub"], commander=params["commander"])
                 return {}
             case "vehicles.get":
-                return {"control": {"state": "flying"}}  # busy: who has won it does not hand it over
+                return {"control": self.control}
         raise AssertionError(method)
 
     def held(self) -> set[str]:
-        now = boot_s()
+        now = self._clock()
         return {name for name, sysid in self.gate.vehicles.items() if self.gate.refusal(sysid, now) is None}
 
 
 class Racer:
     """A site's part that holds leases."""
 
-    def __init__(self, site: str, bus: Bus, vehicles: list[str]) -> None:
-        self.link = GateLink(site, vehicles)
+    def __init__(
+        self, site: str, bus: Any, vehicles: Iterable[str], shared: SharedVehicle = OF_EAST, clock: Clock = boot_s
+    ) -> None:
+        """``bus``: a `Bus`, or one that is played."""
+        self.link = GateLink(site, vehicles, clock)
         self.methods: dict[str, Any] = {}
-        shared = {name: SharedVehicle(home="east", without_hub="stop") for name in vehicles}
-        station: Any = SimpleNamespace(
-            bus=bus, name=site, config=SimpleNamespace(vehicles=shared), methods=self.methods, report=Reported()
-        )
-        self.leases = Leases(station, self.link)  # type: ignore[arg-type]
+        self.reported = Reported()
+        config = SimpleNamespace(vehicles=dict.fromkeys(vehicles, shared))
+        station: Any = SimpleNamespace(bus=bus, name=site, config=config, methods=self.methods, report=self.reported)
+        self.leases = Leases(station, self.link, clock)  # type: ignore[arg-type]
 
-    async def call(self, method: str, vehicle: str, **params: Any) -> None:
-        await self.methods[method]({"vehicle": vehicle, **params})
+    async def call(self, method: str, vehicle: str, **params: Any) -> Any:
+        return await self.methods[method]({"vehicle": vehicle, **params})
 
     def has_hub(self) -> bool:
         """Whether its leases may be taken."""

@@ -18,7 +18,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import LinkError
 from skygcs.links.reading import LARGEST_DATAGRAM_BYTES, TURN_BYTES
 from skygcs.links.udp import UdpBroadcastLink, UdpClientLink, UdpServerLink
-from support.hosts import RecordingHost, heartbeat, open_descriptors, own, text, until
+from support.hosts import RecordingHost, drained, heartbeat, open_descriptors, own, text, until
 from support.loops import on_every_loop
 from support.process import free_port
 
@@ -29,15 +29,6 @@ def peer(address: tuple[str, int] = ("127.0.0.1", 0), family: int = socket.AF_IN
         sock.bind(address)
         sock.setblocking(False)
         yield sock
-
-
-def drain(sock: socket.socket) -> list[bytes]:
-    got = []
-    while True:
-        try:
-            got.append(sock.recv(65535))
-        except BlockingIOError:
-            return got
 
 
 async def server(hub: RecordingHost, **keys: Any) -> UdpServerLink:
@@ -62,7 +53,7 @@ async def test_twenty_peers_on_one_port_each_get_only_their_own() -> None:
             assert channel.send(text(255, 0, f"for {frame.sysid}"))
         await until(lambda: all(c.tx_frames == 1 for c in link.channels))
         for number, sock in enumerate(socks):
-            assert drain(sock) == [text(255, 0, f"for {number + 1}")]
+            assert drained(sock) == [text(255, 0, f"for {number + 1}")]
     finally:
         for sock in socks:
             sock.close()
@@ -210,7 +201,7 @@ async def test_the_last_way_to_a_vehicle_in_the_air_stays_although_it_is_silent(
         await until(lambda: len(host.detached) == 1)
         assert host.detached[0][0].peer == f"127.0.0.1:{other.getsockname()[1]}"
         host.channels[0].send(heartbeat(255))
-        await until(lambda: drain(flying))
+        await until(lambda: drained(flying))
         host.flying = set()
         await until(lambda: not host.channels)
     await link.close()
@@ -252,7 +243,7 @@ async def test_a_failed_send_is_counted_and_breaks_nothing() -> None:
         assert channel.send(heartbeat(255)) is False
         channel._sendto = really
         assert channel.send(heartbeat(255, 1)) is True
-        await until(lambda: drain(one) == [heartbeat(255, 1)])
+        await until(lambda: drained(one) == [heartbeat(255, 1)])
         assert (channel.tx_dropped, channel.tx_frames) == (1, 1)
         assert not link.failed.done()
     await link.close()
@@ -271,9 +262,9 @@ async def test_own_messages_count_their_sequence_per_channel_and_are_recorded() 
         first, second = link.channels
         assert first.send(message) and first.send(message) and second.send(message)
         got: list[bytes] = []
-        await until(lambda: got.extend(drain(one)) or len(got) == 2)
+        await until(lambda: got.extend(drained(one)) or len(got) == 2)
         assert [raw[4] for raw in got] == [0, 1]
-        await until(lambda: [raw[4] for raw in drain(two)] == [0])
+        await until(lambda: [raw[4] for raw in drained(two)] == [0])
         assert [(channel.id, raw[4]) for channel, _, raw in host.sent] == [(1, 0), (1, 1), (2, 0)]
     await link.close()
 
@@ -300,7 +291,7 @@ async def test_a_host_name_and_ipv6_are_listened_on() -> None:
         await until(lambda: len(host.heard) == 2)
         assert sixth.channels[0].peer == f"[::1]:{six.getsockname()[1]}"
         assert sixth.channels[0].send(heartbeat(255))
-        await until(lambda: drain(six) == [heartbeat(255)])
+        await until(lambda: drained(six) == [heartbeat(255)])
     await named.close()
     await sixth.close()
 
@@ -337,7 +328,7 @@ async def test_a_client_outlives_a_peer_that_is_not_there_yet() -> None:
         await asyncio.sleep(0.01)  # the kernel tells the sender that nobody was there
     with peer(("127.0.0.1", port)) as there:
         assert channel.send(heartbeat(255, 9))
-        await until(lambda: drain(there) == [heartbeat(255, 9)])
+        await until(lambda: drained(there) == [heartbeat(255, 9)])
         there.sendto(heartbeat(1), ("127.0.0.1", link.bound_port))
         await until(lambda: host.raws == [heartbeat(1)])
     assert not link.failed.done()
@@ -395,19 +386,19 @@ async def test_a_broadcaster_locks_onto_who_answers_and_lets_go_after_silence(mo
         await link.open()
         channel = host.channels[0]
         assert channel.send(heartbeat(255))
-        await until(lambda: drain(ear) == [heartbeat(255)])
+        await until(lambda: drained(ear) == [heartbeat(255)])
         other.sendto(b"no frame, no lock", ("127.0.0.1", link.bound_port))
         vehicle.sendto(heartbeat(1), ("127.0.0.1", link.bound_port))
         await until(lambda: host.heard)
         assert channel.peer == f"127.0.0.1:{vehicle.getsockname()[1]}"
         assert channel.send(heartbeat(255, 1))
-        await until(lambda: drain(vehicle) == [heartbeat(255, 1)])
+        await until(lambda: drained(vehicle) == [heartbeat(255, 1)])
         other.sendto(heartbeat(2), ("127.0.0.1", link.bound_port))
         await until(lambda: link.counters()["ignored_datagrams"] == 2)
-        assert drain(ear) == [] and host.raws == [heartbeat(1)]
+        assert drained(ear) == [] and host.raws == [heartbeat(1)]
         await until(lambda: channel.peer.startswith("127.255.255.255"))
         assert channel.send(heartbeat(255, 2))
-        await until(lambda: drain(ear) == [heartbeat(255, 2)])
+        await until(lambda: drained(ear) == [heartbeat(255, 2)])
         assert link.channels == [channel]
         await link.close()
         assert link.channels == [] and len(host.detached) == 1

@@ -24,9 +24,6 @@ from typing import NamedTuple, Protocol
 
 from skygcs.core.mavlink.dialect import MessageInfo
 
-MANUAL_CONTROL = "MANUAL_CONTROL"
-"""The only message whose target system is in a field named ``target``."""
-
 NO_TARGET = -1
 """Result of `target_of` for a message without a target field."""
 
@@ -156,8 +153,6 @@ def target_of(info: MessageInfo | None, payload: bytes) -> int:
     if info is None:
         return 0
     at = info.target_system_offset
-    if at < 0 and info.name == MANUAL_CONTROL:
-        at = next((f.offset for f in info.fields if f.name == "target"), NO_TARGET)
     if at < 0:
         return NO_TARGET
     return payload[at] if at < len(payload) else 0

@@ -128,7 +128,6 @@ class UnattendedWatch:
     def on_order(self, order: str) -> None:
         """It has accepted an order of ours that its autopilot carries out by itself."""
         self._carries_out, self._stream, self._since = f"its autopilot, by our order {order}", None, None
-        self._ordered = 0
 
     def on_flown(self, who: str, now: float) -> None:
         """Somebody flies it, for however short a time (between two ticks nobody would see it) and in whatever mode: its

@@ -66,7 +66,7 @@ def test_no_message_but_a_verified_heartbeat_makes_a_vehicle() -> None:
 
 
 def test_fields_of_a_heartbeat_whose_zeros_are_not_sent() -> None:
-    fields = {"custom_mode": 0x01020304, "type": 2, "autopilot": 12, "base_mode": 0x81}
+    fields = {"custom_mode": 0x01020304, "type": 2, "autopilot": 12, "base_mode": 0x81, "system_status": 4}
     info = dialect().find("HEARTBEAT")
     whole = Frame(frame("HEARTBEAT", fields), 0, 1, 1, 0, info)
     assert heartbeat_fields(whole) == (0x01020304, 2, 12, 0x81)

@@ -9,7 +9,7 @@ from support.routed import DIALECT
 from support.send_gate import TimedGate
 from support.table import each
 
-ALPHA, BRAVO, OWN = 7, 8, 9
+ALPHA, BRAVO, OWN = 1, 8, 9
 AIR = 1
 """The channel on which all of them are heard."""
 
@@ -24,6 +24,8 @@ class Gated:
         for sysid in (ALPHA, BRAVO):
             assert self.gates.hear(AIR, sysid)
             assert not self.gates.hear(AIR, sysid)
+            assert self.gates.gates(sysid)
+        assert not self.gates.gates(OWN)
 
 
 def test_a_vehicle_is_closed_until_its_gate_opens_and_again_when_the_time_is_over() -> None:
@@ -98,7 +100,7 @@ def test_each_change_is_told_once_and_a_fault_is_one() -> None:
     assert g.gates.changes(10.1) == [GateChange(ALPHA, None)]
     g.gate.until[ALPHA] = 13.0
     assert g.gates.changes(11.0) == []
-    assert g.gates.changes(14.0) == [GateChange(ALPHA, "7 is not ours now")]
+    assert g.gates.changes(14.0) == [GateChange(ALPHA, "1 is not ours now")]
     assert g.gates.changes(14.1) == []
     g.gate.until[ALPHA] = 20.0
     assert g.gates.changes(14.2) == [GateChange(ALPHA, None)]
@@ -115,6 +117,7 @@ def test_gates_of_no_vehicle_are_none() -> None:
     ("name", "fields", "target"),
     [
         ("COMMAND_LONG", {"target_system": 7}, 7),
+        ("PARAM_REQUEST_LIST", {"target_system": 7}, 7),  # its first byte
         ("SET_MODE", {"target_system": 0}, 0),
         ("MANUAL_CONTROL", {"target": 7}, 7),
         ("HEARTBEAT", {}, NO_TARGET),
@@ -124,7 +127,8 @@ def test_gates_of_no_vehicle_are_none() -> None:
 def test_the_target_of_a_message(name: str, fields: dict[str, int], target: int) -> None:
     info = DIALECT.find(name)
     assert target_of(info, info.pack(fields)) == target
-    assert target_of(info, b"") == min(target, 0)
+    trimmed = info.pack(fields)[: max(info.target_system_offset, 0)]
+    assert target_of(info, trimmed) == min(target, 0)
 
 
 def test_a_message_that_is_not_known_may_be_for_anybody() -> None:

@@ -51,6 +51,8 @@ def test_a_vehicle_that_nobody_flies_any_more_is_held_within_a_second_and_again(
     (first, again) = rig.show(NOBODY, GRACE_S + REPEAT_S + 3 * TICK_S)
     assert first == (pytest.approx(GRACE_S, abs=TICK_S), HoldIt(US, again=False))
     assert again[1] == HoldIt(US, again=True)
+    rig.show(FLOWN, 5.0)
+    assert rig.show(NOBODY, 1.0) == [(pytest.approx(GRACE_S, abs=TICK_S), HoldIt(US, again=False))]
 
 
 @each(
@@ -93,6 +95,7 @@ def test_an_order_that_was_denied_meanwhile_gives_no_further_grace(rig: Rig) -> 
 
 def test_one_that_was_in_the_mode_when_it_was_heard_first_is_left_alone() -> None:
     assert Rig().show(NOBODY, 20.0) == []
+    assert Rig().show(replace(LOITER, mode="AUTO.LOITER"), 1.0) == []
 
 
 def test_one_that_was_flown_between_two_looks_only_is_held(rig: Rig) -> None:
@@ -143,11 +146,20 @@ def test_an_order_that_its_autopilot_carries_out_is_left_alone(order: str) -> No
 def test_a_mode_that_others_changed_is_theirs_and_a_short_change_is_not(rig: Rig) -> None:
     rig.show(FLOWN, 1.0)
     rig.show(LOITER, LEFT_S + 1.0)
+    assert rig.watch.owed_to is None
     assert rig.show(NOBODY, 20.0) == []
     rig = Rig()
     rig.show(FLOWN, 1.0)
     rig.show(LOITER, 1.0)
-    assert rig.show(NOBODY, 1.0), "one heartbeat may be forged"
+    assert len(rig.show(NOBODY, GRACE_S + 3 * REPEAT_S + 2 * TICK_S)) == 4, "one heartbeat may be forged"
+    rig = Rig()
+    rig.show(FLOWN, 1.0)
+    rig.show(LOITER, 1.0)
+    rig.show(replace(NOBODY, heard=False), LEFT_S)
+    assert rig.show(NOBODY, 20.0) == [], "it may have shown the other mode meanwhile"
+    rig = Rig("the daemon that ran before")
+    rig.show(LOITER, LEFT_S + 1.0)
+    assert rig.show(NOBODY, 20.0) == []
 
 
 def test_the_stream_of_another_station_is_left_alone_until_it_ends(rig: Rig) -> None:
@@ -160,12 +172,23 @@ def test_the_stream_of_another_station_is_left_alone_until_it_ends(rig: Rig) -> 
     assert rig.show(NOBODY, 20.0) == [], "it holds there by itself"
 
 
+def test_a_stream_has_ended_after_its_longest_gap_and_not_at_it() -> None:
+    watch = UnattendedWatch()
+    watch.on_station("255/190", "motion", 100.0)
+    begins_s = STREAM_S + 0.1  # nobody flies it at this look
+    assert [watch.tick(NOBODY, 100.0 + s) for s in (STREAM_S, begins_s, STREAM_S + GRACE_S)] == [None] * 3
+    assert watch.tick(NOBODY, 100.01 + begins_s + GRACE_S) == HoldIt("255/190", again=False)
+
+
 def test_a_hold_that_was_not_answered_is_confirmed_when_it_is_heard_again(rig: Rig) -> None:
     rig.show(FLOWN, 1.0)
     rig.watch.on_hold(ok=False, unheard=True)
     assert rig.show(replace(NOBODY, heard=False), 10.0) == []
     held = replace(LOITER, mode="AUTO.LOITER")
     assert [effect for _, effect in rig.show(held, 10.0)] == [HoldsAfterAll("AUTO.LOITER")]
+    rig.show(FLOWN, 1.0)
+    rig.watch.on_hold(ok=False, unheard=False)
+    assert rig.show(held, 1.0) == [], "denied: its mode is not of our order"
 
 
 def test_an_order_that_is_denied_changes_nothing_of_who_flies_it(rig: Rig) -> None:

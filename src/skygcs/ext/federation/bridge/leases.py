@@ -245,10 +245,9 @@ class Leases:
         store = self._store
         try:
             changed = await self._inspect()
-        except BusError as error:
+        except BusError:
             if store is not None and store is self._store:
-                self.problem = str(error)
-                self._lose_store()
+                self._lose_store()  # to open it again says why it cannot be used
             return False
         if changed and store is not None and store is self._store:
             self._hub_up()

@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import re
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ from skygcs.core.plan.segment_distance import SLACK_M, segment_segment
 from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, motion_peaks
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.ext.plans.certificates import certify as certifying
+from skygcs.ext.plans.certificates import space_check
 from skygcs.ext.plans.certificates.bernstein_arrays import gathered
+from skygcs.ext.plans.certificates.certificate import SpaceProblem
 from skygcs.ext.plans.certificates.certify import MAX_NAMED, certify, motions_of
 from skygcs.ext.plans.certificates.space_check import breaches
 from support.examples import examples
@@ -243,7 +246,7 @@ def test_the_closest_pair_is_named_however_far_apart_and_of_one_vehicle_there_is
     assert certificate.certified and certificate.closest is not None
     assert (certificate.closest.vehicles, certificate.closest.distance_m) == (("b", "c"), 40.0)
     alone = certify(PhasedPlan({"a": (0.0, 0.0, 10.0)}, (Phase("go", {"a": (5.0, 0.0, 10.0)}),)), RULE)
-    assert alone.certified and alone.closest is None
+    assert alone.certified and alone.closest is None and alone.as_dict()["closest"] is None
 
 
 def test_walls_are_kept_on_the_whole_of_each_leg() -> None:
@@ -258,6 +261,14 @@ def test_walls_are_kept_on_the_whole_of_each_leg() -> None:
     (problem,) = certificate.space
     assert (problem.vehicle, problem.what, problem.phase, problem.t_s) == ("a", "box 1", "through", None)
     assert problem.margin_m == 1.25 and problem.distance_m == pytest.approx(1.25, abs=1e-4)
+    assert problem.text() == "a is 1.25 m from box 1 in phase through, at (8.75, 0.00, 10.00); margin 1.25 m"
+    said = certificate.as_dict()
+    assert said["space"] == [asdict(problem) | {"text": problem.text()}] and said["reasons"] == [problem.text()]
+    assert said["closest"] == asdict(certificate.closest) | {
+        "clearance_m": certificate.closest.clearance_m,
+        "flown_at_least_m": certificate.closest.flown_at_least_m,
+        "text": certificate.closest.text(),
+    }
     assert certify(plan, RULE, FlightSpace(boxes=(((10.0, 1.3, 0.0), (12.0, 3.0, 30.0)),))).certified
 
 
@@ -274,6 +285,7 @@ def test_no_leg_may_pass_a_standing_vehicle() -> None:
     plan = PhasedPlan({"a": (0.0, 0.0, 10.0)}, (Phase("cross", {"a": (20.0, 0.0, 10.0)}),))
     certificate = certify(plan, RULE, space)
     assert [approach.vehicles for approach in certificate.too_close] == [("a", "p"), ("a", "q")]
+    assert certificate.as_dict()["too_close"] == [approach.as_dict() for approach in certificate.too_close]
     assert certify(plan, MarginRule(fixed_m=1.9), space).certified  # the two that stand are not compared
 
 
@@ -335,6 +347,38 @@ def test_no_sample_is_beyond_a_fence_that_was_kept(east, north, fence) -> None:
         assert min(inside) >= 0.5 - 1e-9
     else:
         assert min(inside) < 0.5 + 0.5  # a sample near the breach
+    east_m, north_m, up_m = trajectory.at(0.5).pos_enu_m
+    (found,) = breaches([hover((east_m, north_m, up_m), 1.0)], [1000.0], FlightSpace(fence=fence))
+    wanted_m = _distance_to(fence, (east_m, north_m))
+    assert found.distance_m == pytest.approx(wanted_m, abs=1e-9) or abs(wanted_m) < 1e-6
+
+
+@each(
+    ("up_m", "space", "distance_m"),
+    [
+        (-0.5, FlightSpace(ceiling_m=0.0), 0.5),
+        (0.0, FlightSpace(ceiling_m=0.0), 0.0),
+        (-0.5, FlightSpace(floor_m=0.0), -0.5),
+        (10.0, FlightSpace(boxes=(((-3.0, -2.0, 0.0), (3.0, 2.5, 30.0)),)), -2.0),
+        (10.0, FlightSpace(boxes=(((-3.0, -0.4, 0.0), (3.0, 2.5, 30.0)),)), -0.4),
+        (10.0, FlightSpace(boxes=(((3.0, 4.0, 0.0), (9.0, 9.0, 30.0)),)), 5.0),
+    ],
+)
+def test_a_breach_says_how_far_it_is_from_its_wall(up_m: float, space: FlightSpace, distance_m: float) -> None:
+    (found,) = breaches([hover((0.0, 0.0, up_m), 1.0)], [1000.0], space)
+    assert found.distance_m == pytest.approx(distance_m)
+    problem = SpaceProblem("a", found.what, found.distance_m, 0.0, found.place_m, found.t_s)
+    beyond = "beyond" if distance_m < 0.0 else "from"
+    assert problem.text().startswith(f"a is {abs(distance_m):.2f} m {beyond} {found.what} at 0.00 s")
+
+
+def test_what_is_not_decided_when_halving_ends_counts_as_too_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    curve = Trajectory([Piece(1.0, (0.0, 4.0, 3.0, -5.0), (0.0,), (10.0, 10.0, -5.0, -5.0))])
+    space = FlightSpace(ceiling_m=15.5)
+    assert breaches([curve], [0.9], space) == breaches([], [], space) == []
+    monkeypatch.setattr(space_check, "MAX_PARTS", 1)
+    (found,) = breaches([curve], [0.9], space)
+    assert (found.vehicle, found.what, found.distance_m, found.t_s) == (0, "the ceiling", 5.5, 0.0)
 
 
 def _distance_to(corners, point) -> float:

@@ -247,3 +247,25 @@ def test_cutting_keeps_the_curve(seed: int, begin: float, length: float) -> None
     square = squared_norm(part)
     assert square[0] == pytest.approx((part[0] ** 2).sum(axis=0))
     assert square[-1] == pytest.approx((part[-1] ** 2).sum(axis=0))
+    assert halved(square[:, None, :])[0][-1, 0] == pytest.approx((left[-1] ** 2).sum(axis=0))
+
+
+def test_the_bound_of_rounding_errors_is_that_of_the_largest_axis_of_each_piece() -> None:
+    fleet = [
+        Trajectory(
+            [Piece(2.0, (0.25, -0.5), (0.125, 0.25, 0.0625), (0.5,)), Piece(0.5, (-0.75, 1.0), (0.875,), (0.5,))]
+        ),
+        Trajectory([Piece(1.0, (0.0,), (-0.25, 0.125), (3.0,))]),
+    ]
+    sums = [  # by axis: S, and S without its constant, at the end of the piece
+        [(1.25, 1.0), (0.875, 0.75), (0.5, 0.0)],
+        [(1.25, 0.5), (0.875, 0.0), (0.5, 0.0)],
+        [(0.0, 0.0), (0.375, 0.125), (3.0, 0.0)],
+        [(0.0, 0.0), (0.125, 0.0), (3.0, 0.0)],  # it stands until the first has ended
+    ]
+    unit, degree, end_s = 2.0**-53, 2, 2.5
+    wanted = [
+        unit * (128 * (degree + 1) * max(s for s, _ in axes) + 8 * degree * end_s / length_s * max(t for _, t in axes))
+        for axes, length_s in zip(sums, (2.0, 0.5, 1.0, 1.5), strict=True)
+    ]
+    assert gathered(fleet).error_m == pytest.approx(wanted, rel=1e-9)
