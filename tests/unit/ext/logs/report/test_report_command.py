@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
+from skygcs.ext.logs.report.gathering import END_US
 from skygcs.tlog.format import encode_record
 from support.command_line import ran
 from support.examples import examples, thinned
@@ -272,6 +273,15 @@ def test_a_place_that_is_nowhere_on_earth_is_no_part_of_a_flight(place: dict[str
         (flight,) = table(tmp_path / name, "flights")
         expected = ("", "") if name == "alone" else ("0.0", "2.0")
         assert (flight["distance_m"], flight["highest_m"]) == expected
+
+
+def test_no_time_of_a_report_is_after_its_last_year(tmp_path: Path) -> None:
+    """A clock that steps by less than a day counts as one that ran, and comes to any year."""
+    folder = make(tmp_path / "logs")
+    begin_us = END_US - 1_000_000
+    stamps = [begin_us + n * 23 * 3600 * 1_000_000 for n in range(10)] + [begin_us]
+    (folder / "a.tlog").write_bytes(b"".join(encode_record(stamp, heartbeat(9)) for stamp in stamps))
+    assert "2099-12-31 to 2100-01-01" in page_of(folder).text
 
 
 def split(content: bytes) -> Iterator[bytes]:
