@@ -96,13 +96,15 @@ class DiskWriter:
     async def run(self, what: str, job: Callable[[], T], size: int = 0, within_s: float = WITHIN_S) -> T:
         """Do ``job`` and return its result. Raises what it raises, and OSError if the disk does not take it within
         ``within_s``: it may still be done later."""
-        done = self.offer(what, job, size)
+        return await self.outcome(what, self.offer(what, job, size), within_s)
+
+    async def outcome(self, what: str, done: asyncio.Future[T] | None, within_s: float = WITHIN_S) -> T:
+        """The result of a job that was given (`offer`), for any number of callers; as `run`."""
         if done is None:
             raise OSError(errno.EBUSY, "too much waits for the disk")
         try:
             async with asyncio.timeout(within_s):
-                result: T = await asyncio.shield(done)
-                return result
+                return await asyncio.shield(done)
         except TimeoutError:
             done.add_done_callback(_ignored)
             raise OSError(errno.ETIMEDOUT, f"the disk does not accept it ({what})") from None

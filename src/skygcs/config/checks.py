@@ -202,6 +202,7 @@ def _message_problem(message: str | int, dialect: Dialect) -> str | None:
 
 def _vehicle_names(config: FleetConfig) -> Iterator[Problem]:
     groups = {group for vehicle in config.vehicle_configs() for group in vehicle.groups}
+    by_file: dict[str, str] = {}
     for name, entry in config.vehicles.items():
         path: KeyPath = ("vehicles", name)
         if text := name_problem(name):
@@ -210,6 +211,8 @@ def _vehicle_names(config: FleetConfig) -> Iterator[Problem]:
             yield Problem(path, f"{name!r} is the name of a vehicle and of a group; orders to it would be ambiguous")
         elif re.fullmatch(r"v[0-9]+", name) and int(name[1:]) != entry.sysid:
             yield Problem(path, f"the name {name!r} is the default name of vehicle {name[1:]}")
+        elif (other := by_file.setdefault(re.sub(r"\W", "_", name), name)) != name:
+            yield Problem(path, f"{name!r} and {other!r} would share their files, whose names have _ for signs")
     for path, group in _group_keys(config):
         if text := name_problem(group):
             yield Problem(path, f"the group name {group!r} {text}")

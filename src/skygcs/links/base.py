@@ -209,6 +209,11 @@ class Channel(ABC):
         """Open a flow for further frames of this source and message; only if there is a ``fast_path``."""
         raise NotImplementedError
 
+    def is_given_up(self, timeout_s: float, now: float) -> bool:
+        """True if nothing was heard here for so long, but for the last way to a vehicle in the air: its downlink may be
+        lost alone. The one rule for every link that lets go of silent peers."""
+        return now - self.last_rx_at >= timeout_s and not self.link.host.leads_to_flying(self)
+
     def is_kept_back(self, outgoing: Outgoing) -> bool:
         """True if the gate keeps this from being written now. Only where there is a ``gate``."""
         return self.gate is not None and not self.gate(self.id, outgoing)

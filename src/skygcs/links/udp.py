@@ -442,12 +442,11 @@ class UdpServerLink(UdpLink):
         self._admission.left(len(self._peers))
 
     def _expire(self, now: float) -> None:
-        """Let go of every peer that was silent for too long, but for the last way to a vehicle in the air: its
-        downlink may be lost alone."""
+        """Let go of every peer that was silent for too long."""
         self.host.after_fast_path()  # when each was last heard
         timeout_s = self.config.peer_timeout_s
         for channel in list(self._peers.values()):
-            if now - channel.last_rx_at >= timeout_s and not self.host.leads_to_flying(channel):
+            if channel.is_given_up(timeout_s, now):
                 self._expired += 1
                 self._let_go(channel, f"silent for {timeout_s:g} s")
         self._none_expires_before = self._first_expiry(now)

@@ -126,7 +126,7 @@ class XBeeChannel(QueuedChannel):
 
 class XBeeLink(Link):
     """The module at a serial port and the nodes it hears. A node becomes a channel with its first packet, and stops
-    being one after a silence of ``node_timeout_s``."""
+    being one after a silence of ``node_timeout_s`` (`is_given_up`)."""
 
     config: models.XBeeLinkConfig
 
@@ -370,7 +370,7 @@ class XBeeLink(Link):
     def _look_for_silent(self) -> None:
         now = self.loop.time()
         for address, channel in list(self._nodes.items()):
-            if now - max(channel.last_rx_at, channel.opened_at) >= self.config.node_timeout_s:
+            if channel.is_given_up(self.config.node_timeout_s, now):
                 self._drop(address, f"nothing heard for {self.config.node_timeout_s:g} s")
         self._at("expiry", EXPIRY_LOOK_S, self._look_for_silent)
 

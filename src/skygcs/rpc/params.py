@@ -247,7 +247,8 @@ async def params_list(context: Context, params: ParamListParams) -> Encoded:
     """All parameters, one vehicle after another. Progress comes as events "params".
 
     What was read before is read again only if the vehicle does not confirm it: PX4 by a hash over all values, ArduPilot
-    by its firmware and their number.
+    by its firmware and their number. Of each vehicle one list is read at a time: who asks meanwhile gets the same, at
+    the rate of the first.
     """
     vehicles = context.services.fleet.resolve(params.targets)
     if params.values and len(vehicles) > MAX_WITH_VALUES:

@@ -337,13 +337,20 @@ class Session(ClientPeer):
             text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
             return self.reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
         replies: list[dispatch.Reply] = []
-        size = 0
+        size, most = 0, client_peer.MAX_OUTPUT_BYTES // 2
+        large: list[str] = []
+        """Methods that read much, so no orders: where their replies do not fit, they are not worked out any more."""
         for request in requests:
-            reply = self._start(request, twice)
+            if size > most and isinstance(request, dict) and request.get("method") in large:
+                reply: dispatch.Reply = b"" if "id" in request else None
+            else:
+                reply = self._start(request, twice)
             if isinstance(reply, bytes):
                 size += len(reply)
-                if size > client_peer.MAX_OUTPUT_BYTES // 2:
-                    text = f"the replies of this batch exceed {client_peer.MAX_OUTPUT_BYTES // 2} bytes"
+                if len(reply) > most // MAX_BATCH:
+                    large.append(request["method"])
+                if size > most:
+                    text = f"the replies of this batch exceed {most} bytes"
                     reply = error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
             replies.append(reply)
         if any(isinstance(reply, Coroutine) for reply in replies):

@@ -106,6 +106,12 @@ class _Line:
         self.accepted: Callable[[], None] = lambda: None
         """`Moves.accepted` of the last one."""
 
+    def is_idle(self, now: float) -> bool:
+        """True if no command has it or waits for it, and it knows of nothing that a next one would wait for."""
+        if self.waiting or self.lock.locked():
+            return False
+        return now >= self.ended_at + ECHO_ACK_S and (not self.late or now >= self.quiet_until)
+
 
 @dataclass(frozen=True, slots=True)
 class Moves:
@@ -260,7 +266,7 @@ class CommandClient:
             return Outcome(False, "refused", f"refused: {error}")
         everywhere = emergency or (clearance is not None and clearance.order in EVERYWHERE)
         request = _Request(spec, satisfied, on_report, everywhere, moves, with_repeats, clearance)
-        line = self._lines.setdefault(spec.command, _Line())
+        line = self._line(spec.command)
         # an emergency replaces a command of its kind
         if emergency:
             self.stop(spec.command, "cancelled", "an emergency order took its place")
@@ -344,7 +350,7 @@ class CommandClient:
 
     def expect_stray_ack(self, command: int, now: float) -> None:
         """Note a command that is sent without waiting for its ack, which must not be taken for another's."""
-        line = self._lines.setdefault(command, _Line())
+        line = self._line(command)
         line.late += 1
         line.quiet_until = now + LATE_ACK_S
 
@@ -404,6 +410,16 @@ class CommandClient:
             if not future.done():
                 future.set_result(False)  # the timer that would end it is cancelled below
         self._timer.set(None)
+
+    def _line(self, command: int) -> _Line:
+        """Its line; a new one takes the place of those that are idle, as there are 65,536 ids."""
+        line = self._lines.get(command)
+        if line is None:
+            now = self._loop.time()
+            kept = {c: old for c, old in self._lines.items() if c in self._running or not old.is_idle(now)}
+            line = kept[command] = _Line()
+            self._lines = kept
+        return line
 
     async def _quiet(self, line: _Line) -> None:
         wait_s = line.quiet_until - self._loop.time()

@@ -343,15 +343,24 @@ class VehicleParams:
     async def load(
         self, *, refresh: bool = False, burst: bool = False, bytes_per_s: float | None = BYTES_PER_S
     ) -> Loaded:
-        """Read all parameters. One list at a time: further requests wait for the same list. It is cancelled when no
-        request waits for it any more."""
+        """Read all parameters. One list at a time: further requests wait for the same list, at the rate of the first.
+        One with ``refresh`` reads its own after it if that list was only confirmed. It is cancelled when no request
+        waits for it any more."""
+        while refresh and self._loading is not None:
+            loaded = await self._join(self._loading)
+            if loaded.source != "cache":
+                return loaded
         if self._loading is None:
             work = self._load(refresh=refresh, burst=burst, bytes_per_s=bytes_per_s)
             self._loading = self._loop.create_task(work, name=f"parameters of {self._vehicle.name}")
             self._loading.add_done_callback(self._loaded)
+        return await self._join(self._loading)
+
+    async def _join(self, loading: asyncio.Task[Loaded]) -> Loaded:
+        """Wait for the list in transfer."""
         self._waiting += 1
         try:
-            return await asyncio.shield(self._loading)
+            return await asyncio.shield(loading)
         finally:
             self._waiting -= 1
             if not self._waiting and self._loading is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
@@ -17,6 +18,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 SAME = 1e-6
 """Relative difference below which two values of a parameter are equal: it is a 32-bit float on the wire."""
 
+JOURNAL = "the undo journal"
 
 T = TypeVar("T")
 
@@ -38,6 +40,7 @@ class UndoOrders:
         self._disk = disk
         self._on_event = on_event
         self._running: set[str] = set()
+        self._reading: asyncio.Future[list[UndoableChange]] | None = None
 
     def report(self) -> None:
         """One event for each change that was left, and one for files that cannot be read."""
@@ -50,8 +53,10 @@ class UndoOrders:
 
     async def left(self) -> dict[str, Any]:
         """JSON-able: entries that wait for their undo, and files that cannot be read. Raises RefusedError if the disk
-        does not answer."""
-        changes = [change.as_dict() for change in await self._with_disk(self._journal.left)]
+        does not answer. One reading serves all who ask before it is done: other journals wait for the same disk."""
+        if self._reading is None or self._reading.done():
+            self._reading = self._disk.offer(JOURNAL, self._journal.left)
+        changes = [change.as_dict() for change in await self._outcome(self._reading)]
         return {"changes": changes, "problems": list(self._journal.problems)}
 
     async def drop(self, id: str) -> None:
@@ -115,14 +120,17 @@ class UndoOrders:
             return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
         # remove the journal's entry
         try:
-            await self._disk.run("the undo journal", partial(self._journal.undone, change))
+            await self._disk.run(JOURNAL, partial(self._journal.undone, change))
         except OSError as error:
             return Outcome(False, "failed", f"it is as before, but {change.id} cannot be removed: {error.strerror}")
         return Outcome(True, "accepted", "it is as before" + (f" ({', '.join(to_set)} set)" if to_set else " already"))
 
     async def _with_disk(self, job: Callable[[], T]) -> T:
+        return await self._outcome(self._disk.offer(JOURNAL, job))
+
+    async def _outcome(self, done: asyncio.Future[T] | None) -> T:
         try:
-            return await self._disk.run("the undo journal", job)
+            return await self._disk.outcome(JOURNAL, done)
         except OSError as error:
             raise RefusedError(f"{self._journal.folder}: {error.strerror or error}") from None
 

@@ -8,6 +8,7 @@ read for STUCK_S is closed; nothing else changes because of it.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
@@ -43,6 +44,10 @@ EVENTS_WAITING = 256
 
 REPORTS_WAITING = 1024
 """Replies and reports of orders that wait for a page: an order to the largest fleet that has them comes to 300."""
+
+LOOKING = 32
+"""Requests in flight of all pages that may only look; further ones wait. The daemon takes 64 on the connection that
+these pages share with those that may order, and refuses more."""
 
 LEAST_RATE_HZ, MAX_RATE_HZ, DEFAULT_RATE_HZ = 0.2, 20.0, 10.0
 
@@ -126,6 +131,7 @@ class PageClients:
         self.clients: dict[PageClient, None] = {}
         self.orders: set[asyncio.Task[None]] = set()
         """Orders in progress: they go on to their outcome when their page leaves."""
+        self.looking = asyncio.Semaphore(LOOKING)
         self.counters = {"closed_stuck": 0, "closed_flooding": 0, "events_dropped": 0, "late_orders": 0}
         self.wanted = asyncio.Event()
         """Set when a page has subscribed."""
@@ -448,7 +454,8 @@ class PageClient:
                 deadline_s = request["deadline_s"] if order else None
                 asked = order and request.get(REPORT) is True
                 on_report = functools.partial(self._report, request_id) if asked else None
-                result = await self.pages.source.call(method, params, deadline_s, on_report)
+                async with self.pages.looking if self.role == "view" else contextlib.nullcontext():
+                    result = await self.pages.source.call(method, params, deadline_s, on_report)
             reply = reply_of(request_id, result)
         except DaemonUnreachable as error:
             reply = error_reply(request_id, AWAY, str(error))

@@ -156,6 +156,10 @@ sysid = 1
         ('[vehicles."a\\u001b"]\nsysid = 1', "contains the control character '\\x1b'"),
         ("[vehicles.'a b']\nsysid = 1", "contains ' ': a target has no blanks; use _ instead"),
         ("[vehicles.'']\nsysid = 1", "the name '' is empty"),
+        (
+            "[vehicles.a_b]\nsysid = 1\n[vehicles.'a.b']\nsysid = 2",
+            "vehicles.\"a.b\" (line 3): 'a.b' and 'a_b' would share their files",
+        ),
         ("[vehicles.v3]\nsysid = 4", "the name 'v3' is the default name of vehicle 3"),
         (
             "[vehicles.a]\nsysid = 1\ngroup = 'all'",

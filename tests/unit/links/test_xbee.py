@@ -197,6 +197,25 @@ async def test_a_silent_node_stops_being_a_channel_and_comes_back(radio: PtyRadi
 
 
 @on_every_loop
+async def test_the_last_way_to_a_vehicle_in_the_air_stays_although_it_is_silent(radio: PtyRadio) -> None:
+    host = RecordingHost()
+    async with opened(radio, host, 2, keys={"node_timeout_s": 1.0}) as (link, air):
+        await until(lambda: len(link.channels) == 2 and link.modem.state == "open")
+        flying = channel_of(link, air, 0)
+        host.flying = {flying}
+        for channel in link.channels:
+            channel.last_rx_at -= 2.0  # as if it had been silent for that long
+        link._look_for_silent()
+        assert link.channels == [flying] and len(host.detached) == 1
+        stop = text(255, 1, "stop")
+        assert flying.send(stop, Priority.EMERGENCY)
+        await until(lambda: (0, stop) in air.heard)
+        air.mesh.unplugged.add(0)
+        host.flying = set()
+        await until(lambda: flying not in link.channels)
+
+
+@on_every_loop
 async def test_a_module_that_restarts_is_asked_again(radio: PtyRadio) -> None:
     host = RecordingHost()
     async with opened(radio, host, 1) as (link, air):

@@ -370,10 +370,17 @@ async def test_a_client_whose_unread_replies_exceed_the_bound_is_closed(
 async def test_the_replies_of_one_batch_are_bounded(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_peer, "MAX_OUTPUT_BYTES", 1_000_000)
     peer = await bench.connect()
-    peer.send([{"jsonrpc": "2.0", "id": i, "method": "messages.list"} for i in range(20)])
+    hub = bench.server._hub
+    assert hub is not None
+    begun: list[str] = []
+    monkeypatch.setattr(hub.dispatcher.gate, "asked", lambda method: begun.append(method.name))
+    methods = ["messages.list"] * 20 + ["links.list", "messages.list"]
+    peer.send([{"jsonrpc": "2.0", "id": i, "method": name} for i, name in enumerate(methods)])
     answers = await peer.answer()
-    assert len(answers) == 20
+    assert [answer["id"] for answer in answers] == list(range(22))
     assert "result" in answers[0] and answers[-1]["error"]["code"] == -32005
+    assert begun.count("messages.list") < 10, "what does not fit is not worked out"
+    assert begun[-1] == "links.list", "what may be small, as every order, is begun all the same"
 
 
 @settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

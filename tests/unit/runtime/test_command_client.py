@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.protocols.command import RETRY_TIMERS_S, SETTLE_S, Ack, CommandSpec, Outcome
-from skygcs.runtime.command_client import LATE_ACK_S, CommandClient, Moves
+from skygcs.runtime.command_client import ECHO_ACK_S, LATE_ACK_S, CommandClient, Moves
 from support.vehicles import flight_dialect
 
 pytestmark = pytest.mark.looptime
@@ -84,6 +84,19 @@ async def test_commands_of_many_ids_go_on_side_by_side_and_leave_nothing_behind(
     assert not radio.commands.commanding
     assert not radio.commands.busy
     assert radio.commands._timer.due is None
+
+
+async def test_ids_that_are_not_used_any_more_take_no_memory() -> None:
+    radio = BadRadio(1, loss=0.0, delay_s=0.0, duplicate=0.0)
+    for n in range(300):
+        await asyncio.sleep(ECHO_ACK_S)
+        assert (await radio.commands.run(CommandSpec(1000 + n, (2.0,)))).ok
+    radio.commands.expect_stray_ack(500, radio.loop.time())
+    assert (await radio.commands.run(CommandSpec(999, (2.0,)))).ok
+    assert set(radio.commands._lines) == {1299, 500, 999}  # whose acks may still come
+    await asyncio.sleep(LATE_ACK_S)
+    assert (await radio.commands.run(CommandSpec(998, (2.0,)))).ok
+    assert set(radio.commands._lines) == {998}
 
 
 async def test_a_quiet_time_ends_as_soon_as_the_late_acks_have_come() -> None:

@@ -372,6 +372,16 @@ async def test_a_list_ends_when_nobody_waits_for_it_any_more() -> None:
     assert len(rig.sent) == sent and rig.params.status()["loading"] is None
 
 
+async def test_who_wants_all_read_is_not_given_what_another_was_content_with() -> None:
+    rig = Rig(big_set(60), None)
+    await rig.params.load()
+    known, read, too = await asyncio.gather(
+        rig.params.load(), rig.params.load(refresh=True), rig.params.load(refresh=True)
+    )
+    assert (known.source, read.source, read.vouched) == ("cache", "vehicle", "read")
+    assert too is read  # one list at a time, for both
+
+
 async def test_who_leaves_a_list_takes_nobody_elses_question_along() -> None:
     rig = Rig(big_set(200), None)
     listing = asyncio.create_task(rig.params.load())

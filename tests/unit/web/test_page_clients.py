@@ -12,6 +12,7 @@ from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.client_connection import OnReport
 from skygcs.web.page_clients import (
     EVENTS_WAITING,
+    LOOKING,
     MANY_RATE_HZ,
     MANY_VEHICLES,
     REPORTS_WAITING,
@@ -324,6 +325,24 @@ async def test_the_pages_of_one_browser_leave_places_for_the_stop_of_another(ben
     page.on_message(request("vehicles.stop", "again", deadline_s=soon()))
     await asyncio.sleep(0.01)
     assert "result" in socket.sent[-1]
+
+
+async def test_pages_that_only_look_leave_room_for_questions_of_those_that_order(bench: Bench) -> None:
+    bench.source.held = asyncio.Event()
+    for browser in range(4):
+        page, _ = bench.page("view", browser=f"viewer {browser}")
+        for n in range(MAX_WAITING):
+            page.on_message(json.dumps({"id": n, "method": "undo.list", "params": {}}))
+    await asyncio.sleep(0.1)
+    assert len(bench.source.calls) == LOOKING
+    operator, _ = bench.page()
+    operator.on_message(json.dumps({"id": 1, "method": "events.recent", "params": {}}))
+    await asyncio.sleep(0.1)
+    assert bench.source.calls[LOOKING:] == [("events.recent", {})]
+    page.close()  # what waited of it is given up, the others get their turn
+    bench.source.held.set()
+    await asyncio.sleep(0.1)
+    assert len(bench.source.calls) == 3 * MAX_WAITING + 1
 
 
 async def test_replies_that_are_not_read_count_as_waiting(bench: Bench) -> None:

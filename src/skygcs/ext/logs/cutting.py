@@ -58,7 +58,7 @@ def merge_logs(paths: Sequence[Path], out: Path, dialect: Dialect, force: bool) 
     """Write all records of several tlogs by time; returns a line for the user.
 
     Records of one file keep their order, also where its time goes backwards; for equal times the file named first
-    comes first. A record with a damaged time is written behind the one before it.
+    comes first. A record with a damaged time that others follow is written behind the one before it.
     """
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(opened_log(path, dialect)) for path in paths]
@@ -153,7 +153,8 @@ def _suffix(log: LogFile) -> str:
 
 def _timed(entries: Iterable[LogEntry]) -> Iterator[tuple[int, LogEntry]]:
     """Entries with the times by which they are merged: their own, but that of the one before where a time is a day away
-    from those on both sides. By its own, all that follows it would be written behind all other files."""
+    from those on both sides, and not between them as in a sparse log. By its own, all that follows it would be written
+    behind all other files."""
     time_us: int | None = None
     held: LogEntry | None = None
     """It is a day away from the one before."""
@@ -161,8 +162,8 @@ def _timed(entries: Iterable[LogEntry]) -> Iterator[tuple[int, LogEntry]]:
         own_us = entry.unix_us or 0
         if held is not None:
             held_us = held.unix_us or 0
-            if abs(own_us - held_us) < CLOCK_STEP_US:
-                time_us = held_us  # the clock was set, or another flight begins
+            if abs(own_us - held_us) < CLOCK_STEP_US or (time_us is not None and time_us < held_us < own_us):
+                time_us = held_us  # the clock was set, another flight begins, or days passed without a record
             elif time_us is None:
                 time_us = min(own_us, held_us)
             yield time_us, held
@@ -173,7 +174,7 @@ def _timed(entries: Iterable[LogEntry]) -> Iterator[tuple[int, LogEntry]]:
         else:
             held = entry
     if held is not None:
-        yield (held.unix_us or 0) if time_us is None else time_us, held
+        yield max(held.unix_us or 0, time_us or 0), held  # nothing follows it that it would delay
 
 
 def _units(log: LogFile) -> str:

@@ -32,6 +32,10 @@ RECORD_SILENT_S = 3.0
 LANDED_FRESH_S = 10.0
 """An older EXTENDED_SYS_STATE is not believed; as in the daemon."""
 
+FARTHEST_M = 2e7
+"""From a vehicle's own origin: no place on Earth is farther. A frame with a larger float is damaged or forged, and in a
+drawing that shows it nothing else is seen. Other positions and heights are integers that say no more than this."""
+
 MOST_TEXTS = 2000
 MOST_VEHICLES = 255
 """Number of system ids; a log with more is an attack."""
@@ -299,7 +303,7 @@ class RecordedFlight:
                 self._on_place(vehicle, name, decode_gps({name: values}, self._decoder), now)
         elif vehicle.place in ("", name):
             local = decode_local({name: values}, self._decoder)
-            if local is not None and None not in local["pos_enu_m"]:
+            if local is not None and all(v is not None and abs(v) <= FARTHEST_M for v in local["pos_enu_m"]):
                 east, north, up = local["pos_enu_m"]
                 self._move(vehicle, name, now, east, north)
                 if not folding.height_reported:

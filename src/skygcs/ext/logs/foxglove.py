@@ -68,10 +68,10 @@ class LiveFleet:
         self._put("/tf", "foxglove.FrameTransforms", schemas.frame_transforms(unix_ns, name, at, turned), unix_ns)
         self._put(f"/{name}/location", "foxglove.LocationFix", schemas.location_fix(unix_ns, name, *place), unix_ns)
         self._put(f"/{name}/velocity", "vehicle.Velocity", schemas.velocity_json(unix_ns, pose), unix_ns)
-        path.add(at, turned)
+        path.add(at, schemas.encoded(schemas.pose_json(at, turned)))
         if unix_ns / 1e9 - self._path_at_s.get(name, 0.0) >= PATH_PERIOD_S:
             self._path_at_s[name] = unix_ns / 1e9
-            poses = [schemas.pose_json(*point) for point in path.points]
+            poses = (pose for _, pose in path.points)
             self._put(f"/{name}/path", "foxglove.PosesInFrame", schemas.poses_in_frame(unix_ns, poses), unix_ns)
 
     def on_event(self, event: dict[str, Any], unix_ns: int) -> None:
@@ -83,7 +83,7 @@ class LiveFleet:
         level = severity if isinstance(severity, int) else 6
         self._put(topic, "foxglove.Log", schemas.log_message(unix_ns, name, level, text), unix_ns)
 
-    def _put(self, topic: str, schema: str, message: dict[str, Any], unix_ns: int) -> None:
+    def _put(self, topic: str, schema: str, message: dict[str, Any] | str, unix_ns: int) -> None:
         import json
 
         from foxglove import Channel, Schema
@@ -93,7 +93,8 @@ class LiveFleet:
             described = Schema(name=schema, encoding="jsonschema", data=json.dumps(SCHEMAS[schema]).encode())
             channel = Channel(topic, schema=described, message_encoding="json", context=self._context)
             self._channels[topic] = channel
-        channel.log(json.dumps(message, allow_nan=False).encode(), log_time=unix_ns)
+        text = message if isinstance(message, str) else schemas.encoded(message)
+        channel.log(text.encode(), log_time=unix_ns)
 
 
 async def serve(gcs: Client, targets: str, host: str, port: int, rate_hz: float, on_ready: Any = None) -> None:

@@ -7,6 +7,7 @@ compares them with those of foxglove-sdk.
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -106,9 +107,15 @@ def pose_in_frame(unix_ns: int, pos_enu_m: Iterable[float], orientation: Quatern
     return {"timestamp": time_of(unix_ns), "frame_id": MAP_FRAME, "pose": pose_json(pos_enu_m, orientation)}
 
 
-def poses_in_frame(unix_ns: int, poses: Iterable[Json]) -> Json:
-    """The path so far; ``poses`` as `pose_json` makes them."""
-    return {"timestamp": time_of(unix_ns), "frame_id": MAP_FRAME, "poses": list(poses)}
+def encoded(message: Json) -> str:
+    """Raises ValueError for a number that is not finite."""
+    return json.dumps(message, allow_nan=False, separators=(",", ":"))
+
+
+def poses_in_frame(unix_ns: int, poses: Iterable[str]) -> str:
+    """The path so far, encoded; ``poses``: each as `pose_json` makes it, encoded."""
+    frame = encoded({"timestamp": time_of(unix_ns), "frame_id": MAP_FRAME, "poses": []})
+    return f"{frame[:-2]}{','.join(poses)}]}}"
 
 
 def frame_transforms(unix_ns: int, vehicle: str, pos_enu_m: Iterable[float], orientation: Quaternion) -> Json:

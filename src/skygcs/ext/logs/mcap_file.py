@@ -122,10 +122,10 @@ class McapExport:
             fix = schemas.location_fix(unix_ns, name, pose.lat_deg, pose.lon_deg, pose.alt_amsl_m)
             self._put(f"/{name}/location", "foxglove.LocationFix", fix, unix_ns)
         path = self._paths.setdefault(pose.vehicle, FlownPath())
-        path.add(place, orientation)
+        path.add(place, schemas.encoded(in_frame["pose"]))
         if unix_ns - self._path_written_ns.get(pose.vehicle, -PATH_PERIOD_NS) >= PATH_PERIOD_NS:
             self._path_written_ns[pose.vehicle] = unix_ns
-            poses = [schemas.pose_json(*point) for point in path.points]
+            poses = (pose for _, pose in path.points)
             self._put(f"/{name}/path", "foxglove.PosesInFrame", schemas.poses_in_frame(unix_ns, poses), unix_ns)
 
     def _name(self, vehicle: tuple[int, int]) -> str:
@@ -133,10 +133,10 @@ class McapExport:
         name = self._names.get(sysid, f"v{sysid}")
         return name if compid == 1 else f"{name}.{compid}"
 
-    def _put(self, topic: str, schema: str, message: Json, unix_ns: int) -> None:
+    def _put(self, topic: str, schema: str, message: Json | str, unix_ns: int) -> None:
         self._write(topic, schema, lambda: SCHEMAS[schema], message, unix_ns)
 
-    def _write(self, topic: str, schema: str, schema_of: Callable[[], Any], message: Json, unix_ns: int) -> bool:
+    def _write(self, topic: str, schema: str, schema_of: Callable[[], Any], message: Json | str, unix_ns: int) -> bool:
         channel = self._channels.get(topic)
         if channel is None:
             if len(self._channels) >= MOST_CHANNELS:
@@ -146,6 +146,6 @@ class McapExport:
                 self._schemas[schema] = self._writer.register_schema(schema, "jsonschema", data)
             channel = self._writer.register_channel(topic, "json", self._schemas[schema])
             self._channels[topic] = channel
-        data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
-        self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=data)
+        text = message if isinstance(message, str) else schemas.encoded(message)
+        self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=text.encode())
         return True

@@ -177,14 +177,11 @@ def _write(xbee: XBeePort, wanted: dict[str, bytes], node: int | None) -> list[s
                 continue
             before[name] = old  # an answer that is lost leaves open whether it was written
             try:
-                xbee.put(name, value, node)
+                _put(xbee, name, value, node)
             except RefusedError:
                 del before[name]
                 raise
             lines.append(f"{name}  {show_setting(name, old)} -> {show_setting(name, value)}")
-            if node is None and name in ("BD", "AP") and xbee.mode == "API":
-                # it counts at once: find the module again
-                xbee.reopen(baud_of(value) or xbee.baud if name == "BD" else xbee.baud)
             held = xbee.get(name, node)
             if held is None or not same_value(name, held, value):
                 raise LinkError(f"{xbee.device}: {name} was written but does not read back")
@@ -201,12 +198,19 @@ def _write(xbee: XBeePort, wanted: dict[str, bytes], node: int | None) -> list[s
     return lines
 
 
+def _put(xbee: XBeePort, name: str, value: bytes, node: int | None) -> None:
+    """Write one, and follow the module to the rate or mode that it has then."""
+    xbee.put(name, value, node)
+    if node is None and name in ("BD", "AP") and xbee.mode == "API":  # it counts at once
+        xbee.reopen(baud_of(value) or xbee.baud if name == "BD" else xbee.baud)
+
+
 def _put_back(xbee: XBeePort, before: dict[str, bytes], node: int | None) -> list[str]:
     """The names that could not be put back."""
     left = []
-    for name, value in reversed(before.items()):
+    for name in order_of_writing(list(before)):
         try:
-            xbee.put(name, value, node)
+            _put(xbee, name, before[name], node)
         except (LinkError, RefusedError):
             left.append(name)
     return left

@@ -16,7 +16,7 @@ from skygcs.config.dialects import offline_dialect
 from skygcs.core.geo import Origin, quaternion_from_euler
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs.census import Census
-from skygcs.ext.logs.foxglove_schemas import SCHEMAS
+from skygcs.ext.logs.foxglove_schemas import SCHEMAS, encoded, pose_json, poses_in_frame
 from skygcs.ext.logs.mcap_file import write_mcap
 from skygcs.ext.logs.motion import orientation_of
 from skygcs.ext.logs.path import MOST_POINTS, FlownPath
@@ -217,9 +217,16 @@ def test_a_roll_to_the_right_lowers_the_right_side() -> None:
     assert quaternion_from_euler(0, 0, 0) == (1, 0, 0, 0)
 
 
+@each("number", [0, 1, 3])
+def test_a_path_is_put_together_from_poses_that_were_encoded_once(number: int) -> None:
+    poses = [pose_json((float(n), 2.0, -3.5), (0.0, 0.0, 0.0, 1.0)) for n in range(number)]
+    text = poses_in_frame(12_000_000_034, [encoded(pose) for pose in poses])
+    assert json.loads(text) == {"timestamp": {"sec": 12, "nsec": 34}, "frame_id": "map", "poses": poses}
+
+
 def test_a_path_stays_bounded_and_keeps_its_ends() -> None:
     path = FlownPath()
     for n in range(100_000):
-        path.add((0.1 * n, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        path.add((0.1 * n, 0.0, 0.0), "{}")
         assert len(path.points) <= MOST_POINTS
     assert path.points[0][0] == (0.0, 0.0, 0.0) and path.points[-1][0][0] > 9900

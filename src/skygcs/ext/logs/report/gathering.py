@@ -272,7 +272,7 @@ def _read_tlogs(tlogs: Sequence[_Tlog], reader: DayReader, dialect: Dialect, not
         try:
             with opened_log(log.path, dialect) as file:
                 for entry in file.entries():
-                    entry.at_s += begin_s
+                    entry.at_s = min(begin_s + entry.at_s, END_US / 1e6)
                     end_s = entry.at_s
                     records += 1
                     reader.add(entry)

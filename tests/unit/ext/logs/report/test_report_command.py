@@ -18,6 +18,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
+from skygcs.ext.logs.report.gathering import END_US
+from skygcs.tlog.format import encode_record
 from support.command_line import ran
 from support.examples import examples, thinned
 from support.flight_log import T0_US, FlightLog
@@ -255,6 +257,31 @@ def test_times_that_no_clock_shows_are_passed_over(day: Path, tmp_path: Path) ->
     states = {row["file"]: row["state"] for row in table(tmp_path / "csv", "files")}
     assert (states["never.tlog"], states["zero.tlog"]) == ("cannot be read", "another day")
     assert states["once.tlog"].startswith("read")
+
+
+@each("place", [{"x": 1e18}, {"x": 3e38, "y": -3e38}, {"z": -1e18}])
+def test_a_place_that_is_nowhere_on_earth_is_no_part_of_a_flight(place: dict[str, float], tmp_path: Path) -> None:
+    folder = make(tmp_path / "logs")
+    armed, disarmed = (heartbeat(9, autopilot=3, base_mode=mode) for mode in (0x81, 0x01))
+    here, there = (frame("LOCAL_POSITION_NED", values, sysid=9) for values in ({"x": 3.0, "z": -2.0}, place))
+    for name, frames in (("alone", [there]), ("first", [there, here]), ("last", [here, there])):
+        recorded = (disarmed, armed, *frames, armed, disarmed)
+        (folder / "a.tlog").write_bytes(
+            b"".join(encode_record(T0_US + n * 1_000_000, raw) for n, raw in enumerate(recorded))
+        )
+        run(folder, "-o", tmp_path / f"{name}.html", "--csv", tmp_path / name)
+        (flight,) = table(tmp_path / name, "flights")
+        expected = ("", "") if name == "alone" else ("0.0", "2.0")
+        assert (flight["distance_m"], flight["highest_m"]) == expected
+
+
+def test_no_time_of_a_report_is_after_its_last_year(tmp_path: Path) -> None:
+    """A clock that steps by less than a day counts as one that ran, and comes to any year."""
+    folder = make(tmp_path / "logs")
+    begin_us = END_US - 1_000_000
+    stamps = [begin_us + n * 23 * 3600 * 1_000_000 for n in range(10)] + [begin_us]
+    (folder / "a.tlog").write_bytes(b"".join(encode_record(stamp, heartbeat(9)) for stamp in stamps))
+    assert "2099-12-31 to 2100-01-01" in page_of(folder).text
 
 
 def split(content: bytes) -> Iterator[bytes]:
