@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import random
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.flown import SETPOINTS
@@ -53,6 +55,37 @@ async def test_a_companion_obeys_a_ground_that_stood_still(tmp_path: Path) -> No
         await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 12.0])
         await asyncio.sleep(12)
         assert pair.pi.place() == pytest.approx((5.0, 0.0, 12.0), abs=0.3)
+
+
+async def test_the_setpoints_of_another_ground_are_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The companion took them for older ones than those of the ground before, and answered ok."""
+    async with companion_pair(tmp_path, px4=1, engaged="position") as pair:
+        for k in range(100):
+            await pair.done("control.setpoint", pos_enu_m=[0.01 * k, 0.0, 10.0])
+            await asyncio.sleep(0.02)
+        await pair.lose_ground()
+        monkeypatch.setattr(companion_control, "RUN", "another")
+        monkeypatch.setattr(companion_control, "NUMBERS", itertools.count(1))
+        await asyncio.sleep(2)
+        await pair.ground_begins_again()
+        pair.calls.up = True
+        await pair.until(lambda: pair.control()["companion"] and pair.control()["companion"]["up"], 15.0)
+        await pair.done("control.set", mode="position")
+        for _ in range(60):
+            await pair.done("control.setpoint", pos_enu_m=[8.0, 0.0, 10.0])
+            await asyncio.sleep(0.1)
+        assert pair.pi.place()[0] == pytest.approx(8.0, abs=0.5)
+
+
+async def test_a_goto_is_not_undone_by_a_setpoint_that_was_given_before_it(tmp_path: Path) -> None:
+    """It waited for a place on the way, and left after the goto."""
+    async with companion_pair(tmp_path, px4=1, delay_s=0.7, engaged="position") as pair:
+        for _ in range(30):
+            await pair.done("control.setpoint", pos_enu_m=[0.0, 0.0, 10.0], valid_s=2.0)
+            await asyncio.sleep(0.02)
+        await pair.done("vehicles.goto", enu_m=[8.0, 0.0, 10.0])
+        await asyncio.sleep(15)
+        assert pair.pi.place()[0] == pytest.approx(8.0, abs=0.5)
 
 
 async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:

@@ -153,7 +153,7 @@ class CompanionControl:
         """Why the companion does not take this ground's contacts."""
         self._origin_there: Json | None = None
         # setpoints on their way
-        self._waiting: tuple[Json, float] | None = None
+        self._waiting: Json | None = None
         """The newest setpoint that has no place on the way yet."""
         self._setpoints = 0
         self._setpoint_refusal: tuple[str, float] = ("", -math.inf)
@@ -565,26 +565,27 @@ class CompanionControl:
             return Outcome.refused(why)
         refusal, until = self._setpoint_refusal
         now = self._loop.time()
-        given = {"at_s": self._there(now), "valid_s": valid_s, "setpoint": given}
+        params = {
+            "ground": self._ground,
+            "session": self.controller.session or "",
+            "number": next(self._numbers),  # of now: an order that is given while it waits is newer
+            "at_s": self._there(now),
+            "valid_s": valid_s,
+            "setpoint": given,
+        }
         if self._setpoints < SETPOINT_WAYS:
-            self._tasks.start(self._send_setpoint(given), "setpoint")
+            self._tasks.start(self._send_setpoint(params), "setpoint")
         else:
-            self._waiting = given, now  # the newest one takes its place
+            self._waiting = params  # the newest one takes its place
         if now < until:
             return Outcome.refused(refusal)
         return Outcome(True, "accepted", f"relayed to {self._name}")
 
-    async def _send_setpoint(self, given: Json) -> None:
+    async def _send_setpoint(self, params: Json) -> None:
         companion = self._companions.get(self._vehicle.name)
         if companion is None:
             return
         self._setpoints += 1
-        params = {
-            "ground": self._ground,
-            "session": self.controller.session or "",
-            "number": next(self._numbers),
-            **given,
-        }
         try:
             answer = await companion.call("companion.setpoint", params, MAX_SETPOINT_WAIT_S)
         except (LinkError, RpcError):
@@ -593,7 +594,7 @@ class CompanionControl:
             self._setpoints -= 1
             waiting, self._waiting = self._waiting, None
             if waiting is not None and self.flying:
-                self._tasks.start(self._send_setpoint(waiting[0]), "setpoint")
+                self._tasks.start(self._send_setpoint(waiting), "setpoint")
         self._take(answer.get("report") or {}, self._loop.time())
         outcome = _outcome(answer.get("outcome"), 0.0)
         if not outcome.ok:

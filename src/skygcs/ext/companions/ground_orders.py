@@ -92,7 +92,6 @@ class GroundOrders:
         self._ground_ids: tuple[int, int] | None = None
         """System and component id of the ground that has the companion."""
         self._heartbeat_at = -math.inf
-        self._setpoint_number = 0
 
     # -- what the ground calls
 
@@ -277,12 +276,9 @@ class GroundOrders:
     def _setpoint(
         self, ground: str, session: str, number: int, at_s: float, valid_s: float, given: Json, now: float
     ) -> Outcome:
-        if session != self.book.session or ground != self.book.ground:
-            return Outcome.refused("the companion has restarted, or another ground has it")
+        if (answered := self.book.admit_setpoint(ground, session, number)) is not None:
+            return answered
         self.book.contact(ground, now)
-        if number <= self._setpoint_number:
-            return Outcome(True, "accepted", "a newer setpoint came before it")
-        self._setpoint_number = number
         if not now - at_s <= MAX_SETPOINT_AGE_S:  # also for NaN
             return Outcome.refused(f"it is {now - at_s:.1f} s old: the way to the companion is too slow for a stream")
         try:
