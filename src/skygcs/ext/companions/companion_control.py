@@ -114,8 +114,6 @@ class CompanionControl:
     silent_after_s = REPORTS_SILENT_S
     sends_setpoints = False
     """The ground sends it none: they take nothing of its links."""
-    successor = None
-    """The companion knows which order takes over; see `OffboardEngagement.successor`."""
 
     def __init__(
         self,
@@ -171,8 +169,13 @@ class CompanionControl:
 
     @property
     def flying(self) -> bool:
-        """True while the companion flies it, as far as is known."""
-        return self.controller.state is OffboardState.FLYING
+        """True while the companion flies it, as far as is known, and no order takes over."""
+        return self.controller.state is OffboardState.FLYING and self.successor is None
+
+    @property
+    def successor(self) -> str | None:
+        """See `OffboardEngagement.successor`; the companion's."""
+        return self.controller.successor
 
     @property
     def may_send(self) -> bool:
@@ -378,6 +381,7 @@ class CompanionControl:
             "control_mode": None if controller.control_mode is None else controller.control_mode.value,
             "mode": None if controller.state is OffboardState.OFF else controller.wanted.value,
             "reasons": list(controller.reasons),
+            "successor": controller.successor,
             "companion": {
                 "name": self._name,
                 "up": why is None,
@@ -419,6 +423,8 @@ class CompanionControl:
             return why
         if self.flying:
             return None
+        if self.successor is not None:
+            return f"another order takes over: {self.successor}"
         why = "; ".join(self.controller.reasons)
         held = self.controller.state is OffboardState.HELD
         what = f"it is held: {why}" if held else "control is off"
@@ -620,7 +626,7 @@ EMPTY_STATUS: Json = {
         ("mode", "control_mode", "reference", "error_enu_m", "error_m", "state_age_s", "delay_p95_s", "rtt_s")
     ),
     **dict.fromkeys(("rate_hz", "lateness_p99_s", "trajectory", "prediction", "raw", "thrust", "roll_deg")),
-    **dict.fromkeys(("pitch_deg", "recording")),
+    **dict.fromkeys(("pitch_deg", "recording", "successor")),
     **dict.fromkeys(("ticks", "late", "skipped"), 0),
     "state": "off",
     "reasons": [],
