@@ -57,19 +57,67 @@ async def test_a_companion_obeys_a_ground_that_stood_still(tmp_path: Path) -> No
         assert pair.pi.place() == pytest.approx((5.0, 0.0, 12.0), abs=0.3)
 
 
+@KINDS
+async def test_an_order_that_is_denied_leaves_its_companion_flying_it(tmp_path: Path, kind: dict[str, Any]) -> None:
+    """The companion never heard that the order was denied: it took no goto, and the next engagement ended control."""
+    async with companion_pair(tmp_path, engaged="position", **kind) as pair:
+        assert not (await pair.outcome("missions.start"))["ok"]
+        await asyncio.sleep(2)
+        assert pair.control()["state"] == "flying" and pair.control()["successor"] is None
+        await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+        await pair.done("control.set", mode="velocity")
+        await asyncio.sleep(10)
+        assert pair.pi.place()[0] == pytest.approx(5.0, abs=0.5)
+        assert pair.pi.setpoints(pair.now - 0.5) and not [t for t in pair.told if t.kind == "unattended"]
+
+
+async def test_a_hand_over_whose_end_nobody_tells_is_shown_and_ends_with_its_ground(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with companion_pair(tmp_path, px4=1, engaged="position") as pair:
+        pair.calls.lose = lambda method, given: given.get("order") == "keep"
+        assert not (await pair.outcome("missions.start"))["ok"]
+        await asyncio.sleep(2)
+        shown = pair.control()
+        assert shown["state"] == "flying" and shown["successor"] == "the ground: mission was ordered", shown
+        assert "another order takes over" in (await pair.outcome("control.setpoint", pos_enu_m=[5, 0, 10]))["message"]
+        await another_ground(pair, monkeypatch)
+        await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+        await asyncio.sleep(8)
+        assert pair.pi.place()[0] == pytest.approx(5.0, abs=0.5) and pair.control()["state"] == "flying"
+
+
+@pytest.mark.parametrize("radio", [False, True])
+async def test_a_goto_while_a_copter_in_guided_is_engaged_is_flown(tmp_path: Path, radio: bool) -> None:
+    """Its companion saw no other mode, and held it by setpoints against the goto."""
+    async with companion_pair(tmp_path, px4=0, ardupilot=1, radio=radio) as pair:
+        engaging = asyncio.create_task(pair.outcome("control.set", mode="velocity"))
+        await pair.until(lambda: pair.pi.setpoints(0.0))
+        await pair.done("vehicles.goto", enu_m=[8.0, 0.0, 10.0])
+        assert not (await engaging)["ok"]
+        await asyncio.sleep(15)
+        assert pair.pi.place()[0] == pytest.approx(8.0, abs=1.0)
+        assert pair.control()["state"] == "off" and not pair.pi.setpoints(pair.now - 5.0)
+
+
+async def another_ground(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ground's daemon dies and begins again as another process does, with new numbers."""
+    await pair.lose_ground()
+    monkeypatch.setattr(companion_control, "RUN", "another")
+    monkeypatch.setattr(companion_control, "NUMBERS", itertools.count(1))
+    await asyncio.sleep(2)
+    await pair.ground_begins_again()
+    pair.calls.up = True
+    await pair.until(lambda: (pair.control().get("companion") or {}).get("up"), 15.0)
+
+
 async def test_the_setpoints_of_another_ground_are_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The companion took them for older ones than those of the ground before, and answered ok."""
     async with companion_pair(tmp_path, px4=1, engaged="position") as pair:
         for k in range(100):
             await pair.done("control.setpoint", pos_enu_m=[0.01 * k, 0.0, 10.0])
             await asyncio.sleep(0.02)
-        await pair.lose_ground()
-        monkeypatch.setattr(companion_control, "RUN", "another")
-        monkeypatch.setattr(companion_control, "NUMBERS", itertools.count(1))
-        await asyncio.sleep(2)
-        await pair.ground_begins_again()
-        pair.calls.up = True
-        await pair.until(lambda: pair.control()["companion"] and pair.control()["companion"]["up"], 15.0)
+        await another_ground(pair, monkeypatch)
         await pair.done("control.set", mode="position")
         for _ in range(60):
             await pair.done("control.setpoint", pos_enu_m=[8.0, 0.0, 10.0])

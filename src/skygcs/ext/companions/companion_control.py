@@ -66,7 +66,7 @@ ENGAGE_S = 22.0
 """An engagement takes up to 5 s of measuring and 7 s of switching, twice with a change of the position's rate."""
 
 RELEASE_S = 20.0
-"""A release is repeated for so long; it is harmless at any time, as an engagement that follows has a higher number."""
+"""An end of control is repeated for so long; it is harmless at any time, as what follows has a higher number."""
 
 LEAST_LEAD_S, MOST_LEAD_S = 0.3, 4.0
 """An order to the clock takes effect so much later. Two ways and a repeat fit into it up to a round trip of 1.5 s."""
@@ -145,6 +145,8 @@ class CompanionControl:
         """Trajectories that the companion has, and their keys there."""
         self._orders_of_entry = 0
         """Engagements whose outcome is awaited."""
+        self._handed_over: tuple[int, str] | None = None
+        """Number of the hand-over and the order that takes over, until the companion knows how that ended."""
         # contact with the companion
         self._round_trip_s: float | None = None
         self._refused: str | None = None
@@ -221,21 +223,16 @@ class CompanionControl:
     def release(self, reason: str) -> None:
         """Have the companion send nothing from now on. Idempotent. The vehicle itself is ordered over its own links
         beside this: its companion yields to the mode that it shows then."""
-        if self.controller.state is OffboardState.OFF and self._orders_of_entry == 0:
-            return
-        number = next(self._numbers)
-        self.controller.release(number, reason)
-        self._publish(f"control ended: {reason}")
-        self._tasks.start(self._relay("release", {"reason": reason}, number, start_s=RELEASE_S), "release")
+        self._end("release", reason)
 
     def hand_over(self, reason: str) -> None:
-        """A newer order takes over: the companion holds until it sees the order's mode."""
-        self.release(reason)
+        """A newer order takes over: the companion holds until it sees the order's mode or hears how the order ended."""
+        self._end("hand_over", reason)
 
     def flown_by(self, now: float) -> str | None:
         """The companion, while it flies the vehicle and is in contact: it answers, or its heartbeats are heard. None:
         it does not, or is silent."""
-        if not self.controller.active:
+        if not self.controller.active and self._handed_over is None:
             return None
         heartbeat_at = self._companion_heard_at(self._vehicle.sysid)
         heard_at = max(self.controller.reported_at, -math.inf if heartbeat_at is None else heartbeat_at)
@@ -247,10 +244,14 @@ class CompanionControl:
         return self.controller.session is not None
 
     def taken_over(self) -> None:
-        """The companion sees it itself."""
+        """The companion is told: it sees it by itself only where the order's mode does not follow setpoints."""
+        if self._handed_over is not None:
+            self._end("taken_over", self._handed_over[1])
 
     def keep(self, why: str) -> None:
-        """The companion goes on holding by itself."""
+        """The companion is told, and reports what it does then."""
+        if self._handed_over is not None:
+            self._tasks.start(self._keep(self._handed_over, why), "keep")
 
     async def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:
         """Move the companion's reference."""
@@ -413,6 +414,23 @@ class CompanionControl:
             lock = self._locks.make(Holder.ENGAGEMENT, "", origin, [(self._vehicle, self._settings)])
             self.lock = self._locks.take(lock, lambda: self.lock is lock and self._flies())
         return self.lock
+
+    def _end(self, order: str, reason: str) -> None:
+        """Relay an order by which control ends, if there is any, and show it as ended at once."""
+        before = self._handed_over
+        if before is None and self.controller.state is OffboardState.OFF and self._orders_of_entry == 0:
+            return
+        number = next(self._numbers)
+        self._handed_over = (number, reason) if order == "hand_over" else None
+        self.controller.release(number, reason)
+        if before is None:
+            self._publish(f"control ended: {reason}")
+        self._tasks.start(self._relay(order, {"reason": reason}, number, start_s=RELEASE_S), order)
+
+    async def _keep(self, handed_over: tuple[int, str], why: str) -> None:
+        await self._relay("keep", {"reason": why}, start_s=RELEASE_S)
+        if self._handed_over is handed_over:  # else a newer order has it handed over
+            self._handed_over = None
 
     def _flies(self) -> bool:
         """True if its companion flies it, or is being asked to."""

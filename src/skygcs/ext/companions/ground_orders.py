@@ -57,7 +57,7 @@ RETURN: Mapping[Action, Callable[[VehicleActor], Awaitable[Outcome]]] = {
     "land": VehicleActor.land,
 }
 
-RELAYED_MOVES = frozenset({"engage", "release", "goto", "start", "clock"})
+RELAYED_MOVES = frozenset({"engage", "hand_over", "taken_over", "keep", "release", "goto", "start", "clock"})
 """Orders that move the vehicle: an older one than the newest is not carried out."""
 
 Json = dict[str, Any]
@@ -97,9 +97,12 @@ class GroundOrders:
 
     def contact(self, ground: str, ids: tuple[int, int]) -> Json:
         """A ground is there: the report of the companion's control. ``ids``: of its heartbeats."""
+        before, actor = self.book.ground, self._actor()
         refused = self.book.contact(ground, self._loop.time())
         if refused is None:
             self._ground_ids = ids
+        if actor is not None and self.book.ground != before:
+            _engagement(actor).keep("the ground that gave it is gone")  # and will not say how its order ended
         return {**self.report(), "refused": refused}
 
     async def order(self, ground: str, session: str, number: int, until_s: float, order: str, given: Json) -> Json:
@@ -240,9 +243,9 @@ class GroundOrders:
             case "engage":
                 self._take_origin(wire.origin_from(given.get("origin")))
                 return await actor.control(str(given.get("mode")), force=given.get("force") is True)
-            case "release":
-                engagement.hand_over(f"the ground: {given.get('reason')}"[:200])
-                return Outcome(True, "accepted", "control ends at the companion with the order's mode")
+            case "hand_over" | "taken_over" | "keep" | "release":
+                self._end(actor, engagement, order, f"the ground: {given.get('reason')}"[:200])
+                return Outcome(True, "accepted", "")
             case "goto":
                 place = wire.setpoint_from({"place": given.get("place"), "yaw_enu_rad": given.get("yaw_enu_rad")})
                 if place.place is None:
@@ -261,6 +264,19 @@ class GroundOrders:
             case "clock":
                 return self._order_clock(engagement, given)
         raise RefusedError(f"the companion knows no order {order!r}; is its skygcs older?")
+
+    def _end(self, actor: VehicleActor, engagement: OffboardEngagement, order: str, reason: str) -> None:
+        """The ground ends control, or hands it over to an order that it sends by MAVLink and says how that has ended.
+        The latter may have come before the former: each is enough."""
+        match order:
+            case "hand_over":
+                engagement.hand_over(reason)
+            case "keep":
+                engagement.keep(reason)
+            case _:
+                engagement.release(reason)
+        if order == "taken_over":
+            actor.unattended.watch.on_station("the ground", "place", self._loop.time())
 
     def _take_origin(self, origin: Origin | None) -> Outcome:
         """The ground's origin, in which its trajectories are. Raises RefusedError, which names both."""
