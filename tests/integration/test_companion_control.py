@@ -150,6 +150,32 @@ async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
     return math.sqrt(sum(math.dist(k.pos_m[:2], circle(k.at - began)[0]) ** 2 for k in looks) / len(looks))
 
 
+@pytest.mark.parametrize("newer", ["trajectory.resume", "control.set"])
+async def test_an_order_to_the_clock_that_was_lost_comes_with_the_next_or_after_it(tmp_path: Path, newer: str) -> None:
+    """The companion refused the pause, as a newer order came before its repeat, and was ahead for good."""
+    async with companion_pair(tmp_path, delay_s=0.4, engaged="position") as pair:
+        began = await start_circle(pair)
+        await asyncio.sleep(began + 8.0 - pair.now)
+        lost: list[int] = []
+
+        def lose(method: str, given: dict[str, Any]) -> bool:
+            if given.get("order") != "clock" or lost:
+                return False
+            lost.append(given["number"])
+            return True
+
+        pair.calls.lose = lose
+        await pair.done("trajectory.pause")
+        await asyncio.sleep(0.9)
+        await pair.done(newer, **({"mode": "velocity"} if newer == "control.set" else {}))
+        await asyncio.sleep(6)
+        flights = [actor.offboard.controller.flight for actor in (pair.ground.fleet.find("v1"), pair.pi.actor())]
+        here, there = (flight.clock.at(pair.now) for flight in flights if flight is not None)
+        assert lost and here.state is there.state
+        assert there.trajectory_s == pytest.approx(here.trajectory_s, abs=0.02)
+        assert not [t.text for t in pair.told if "ordered to" in t.text]
+
+
 @pytest.mark.deep
 async def test_a_streamed_circle_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(tmp_path: Path) -> None:
     """By attitude, with 10 % of all messages lost each way."""

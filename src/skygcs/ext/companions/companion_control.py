@@ -25,7 +25,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ClockOrder, ReplicatedClock
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
@@ -334,10 +334,17 @@ class CompanionControl:
         frame, number = EnuFrame(origin), next(self._numbers)
         flight = TrajectoryFlight(loaded, clock, origin, frame)
         self.controller.follow(flight, frame, number)
+        unanswered: dict[int, ClockOrder] = {}
 
         def on_order(order: ClockOrder) -> None:
-            if self.controller.flight is flight:
-                self._tasks.start(self._order_clock(number, order), f"clock {order.kind}")
+            if self.controller.flight is not flight:
+                return
+            if len(unanswered) >= MAX_NOTED:
+                self._publish(f"its trajectory is not ordered to {order.kind}: {MAX_NOTED} orders were not answered")
+                return
+            order_number = next(self._numbers)
+            unanswered[order_number] = order
+            self._tasks.start(self._order_clock(number, order_number, unanswered), f"clock {order.kind}")
 
         clock.observers.append(on_order)
         self._tasks.start(self._start(flight, clock, number, origin), "start of a trajectory")
@@ -509,11 +516,16 @@ class CompanionControl:
             self.controller.drop_flight(outcome.message)
             self._publish(f"it does not follow {flight.loaded.name}: {outcome.message}")
 
-    async def _order_clock(self, flight: int, order: ClockOrder) -> None:
-        given = {"flight": flight, "order": order.kind, "at_s": self._there(order.at_s)}
-        if order.speed_factor is not None:
-            given["speed_factor"] = order.speed_factor
-        outcome = await self._relay("clock", given)
+    async def _order_clock(self, flight: int, number: int, unanswered: dict[int, ClockOrder]) -> None:
+        """One order, with all before it that were not answered: this one may come before their repeats."""
+        order = unanswered[number]
+        orders = [{"number": n, **wire.clock_order_json(o), "at_s": self._there(o.at_s)} for n, o in unanswered.items()]
+        outcome = await self._relay("clock", {"flight": flight, "orders": orders}, number)
+        if number not in unanswered:
+            return  # a newer one, which carried it, was answered
+        if outcome.ok:
+            for known in [n for n in unanswered if n <= number]:
+                del unanswered[known]
         if not outcome.ok or "too late" in outcome.message:
             self._publish(f"its trajectory, ordered to {order.kind}: {outcome.message}")
 

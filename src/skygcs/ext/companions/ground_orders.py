@@ -11,13 +11,14 @@ import math
 import secrets
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import Trajectory
-from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ReplicatedClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
 from skygcs.events import Event
@@ -38,9 +39,6 @@ GCS_TYPE = 6
 MAX_TRAJECTORIES = 64
 """Kept for a start: a plan has one for each of its steps."""
 
-LARGEST_SECONDS = 1e12
-"""Largest number accepted in a relayed order: seconds of a clock."""
-
 PLACED = StartTube(5.0, 2.0)
 """The ground has compared the place with its certificate; farther than this it has another frame."""
 
@@ -58,9 +56,22 @@ RETURN: Mapping[Action, Callable[[VehicleActor], Awaitable[Outcome]]] = {
 }
 
 RELAYED_MOVES = frozenset({"engage", "hand_over", "taken_over", "keep", "release", "goto", "start", "clock"})
-"""Orders that move the vehicle: an older one than the newest is not carried out."""
+"""Orders that move the vehicle: an older one than the newest is not carried out, but for `OF_A_FLIGHT`."""
+
+OF_A_FLIGHT = frozenset({"clock"})
+"""They name the flight that they are about, and are numbered in it: they count for as long as it is flown."""
 
 Json = dict[str, Any]
+
+
+@dataclass(slots=True)
+class FollowedTrajectory:
+    """``number`` of the order that began it; ``noted``: of the newest order to its clock."""
+
+    number: int
+    flight: TrajectoryFlight
+    clock: ReplicatedClock
+    noted: int = 0
 
 
 class GroundOrders:
@@ -87,8 +98,7 @@ class GroundOrders:
         """Orders being carried out, by number."""
         self._parts = wire.TrajectoryParts(MAX_PIECES)
         self._loaded: OrderedDict[str, LoadedTrajectory] = OrderedDict()
-        self._flight: tuple[int, TrajectoryFlight, ReplicatedClock] | None = None
-        """The number of the order that began it, and what it follows."""
+        self._followed: FollowedTrajectory | None = None
         self._ground_ids: tuple[int, int] | None = None
         """System and component id of the ground that has the companion."""
         self._heartbeat_at = -math.inf
@@ -108,8 +118,8 @@ class GroundOrders:
     async def order(self, ground: str, session: str, number: int, until_s: float, order: str, given: Json) -> Json:
         """Carry out one order, or return the outcome of an earlier one with this number."""
         now = self._loop.time()
-        moves = order in RELAYED_MOVES
-        admitted = self.book.admit(ground, session, number, moves=moves, until_s=until_s, now=now)
+        moves, in_turn = order in RELAYED_MOVES, order not in OF_A_FLIGHT
+        admitted = self.book.admit(ground, session, number, moves=moves, in_turn=in_turn, until_s=until_s, now=now)
         match admitted:
             case Fresh():
                 self.book.contact(ground, now)
@@ -147,11 +157,11 @@ class GroundOrders:
         if actor is None:
             return base
         engagement = _engagement(actor)
-        tracking, flight = engagement.tracking, self._flight
-        follows = flight is not None and engagement.controller.flight is flight[1]
+        tracking, followed = engagement.tracking, self._followed
+        follows = followed is not None and engagement.controller.flight is followed.flight
         return base | {
             "control": actor.control_state(now),
-            "flight": flight[0] if follows and flight is not None else None,
+            "flight": followed.number if follows and followed is not None else None,
             "gains": engagement.gains(),
             "guard_falls": dict(engagement.controller.guard_falls),
             "tracking": {
@@ -176,9 +186,9 @@ class GroundOrders:
         actor = self._actor()
         if actor is None or self.book.ground is None:
             return
-        engagement, flight = _engagement(actor), self._flight
-        if flight is not None and engagement.controller.flight is not flight[1]:
-            self._flight = flight = None
+        engagement, followed = _engagement(actor), self._followed
+        if followed is not None and engagement.controller.flight is not followed.flight:
+            self._followed = None
         contact_at = max(self.book.contact_at, self._heartbeat_at)
         watch, before = self.contact_watch, self.contact_watch.state
         silent_s = watch.silence_s(now, contact_at)
@@ -346,28 +356,33 @@ class GroundOrders:
             rests_at_end=given.get("rests_at_end") is True,
         )
         clock.start(now, max(now, at_s))
-        self._flight = number, engagement.follow_trajectory(loaded, clock, lock), clock
+        self._followed = FollowedTrajectory(number, engagement.follow_trajectory(loaded, clock, lock), clock)
         return Outcome(True, "accepted", f"{loaded.name} begins in {at_s - now:.1f} s")
 
     def _order_clock(self, engagement: OffboardEngagement, given: Json) -> Outcome:
-        """An order of the ground's clock, for its replica."""
-        flight = self._flight
-        if flight is None or flight[0] != given.get("flight") or engagement.controller.flight is not flight[1]:
+        """Orders of the ground's clock, for its replica: those that it does not have yet."""
+        followed, orders = self._followed, given.get("orders")
+        if followed is None or followed.number != given.get("flight"):
             raise RefusedError("it does not follow this trajectory any more")
-        kind = given.get("order")
-        if kind not in ("pause", "resume", "abort", "speed"):
-            raise RefusedError("a clock is ordered to pause, resume, abort or speed")
-        at_s = _number(given, "at_s")
-        late_s = self._loop.time() - at_s
-        flight[2].note(ClockOrder(kind, at_s, _number(given, "speed_factor") if kind == "speed" else None))
-        late = "" if late_s <= 0.0 else f", {late_s:.2f} s too late"
-        return Outcome(True, "accepted", f"{kind}{late}")
+        if engagement.controller.flight is not followed.flight:
+            raise RefusedError("it does not follow this trajectory any more")
+        if not isinstance(orders, list) or len(orders) > MAX_NOTED:
+            raise RefusedError(f"a clock gets a list of up to {MAX_NOTED} orders")
+        done = []
+        for number, order in [wire.clock_order_from(values) for values in orders]:
+            if number <= followed.noted:
+                continue
+            followed.clock.note(order)
+            followed.noted = number
+            late_s = self._loop.time() - order.at_s
+            done.append(order.kind + (f", {late_s:.2f} s too late" if late_s > 0.0 else ""))
+        return Outcome(True, "accepted", "; ".join(done))
 
 
 def _number(given: Json, key: str) -> float:
     """Raises RefusedError."""
     value = given.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_SECONDS:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= wire.LARGEST_SECONDS:
         raise RefusedError(f"{key} is a number")
     return float(value)
 
