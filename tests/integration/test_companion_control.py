@@ -150,6 +150,23 @@ async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
     return math.sqrt(sum(math.dist(k.pos_m[:2], circle(k.at - began)[0]) ** 2 for k in looks) / len(looks))
 
 
+async def test_a_raw_setpoint_is_as_old_as_its_way_to_the_companion(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, px4=1, delay_s=0.4, engaged="raw") as pair:
+        level = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 90.0, "thrust": 0.5}
+        given = pair.now
+        await pair.done("control.setpoint", **level, valid_s=0.7)
+        await asyncio.sleep(0.5)
+        assert pair.pi.control()["raw"] == "attitude"
+        await pair.until(lambda: pair.pi.control()["raw"] is None, 2.0)
+        assert pair.now - given == pytest.approx(0.7, abs=0.1)
+        began = pair.now
+        await pair.done("control.setpoint", **level, valid_s=0.45)
+        await asyncio.sleep(1.0)
+        refused = await pair.outcome("control.setpoint", **level, valid_s=0.45)
+        assert "0.40 s old and valid for 0.45 s" in refused["message"], refused
+        assert "SET_ATTITUDE_TARGET" not in {s.name for s in pair.pi.setpoints(began + 0.1)}
+
+
 @pytest.mark.parametrize("newer", ["trajectory.resume", "control.set"])
 async def test_an_order_to_the_clock_that_was_lost_comes_with_the_next_or_after_it(tmp_path: Path, newer: str) -> None:
     """The companion refused the pause, as a newer order came before its repeat, and was ahead for good."""

@@ -27,7 +27,7 @@ from skygcs.ext.companions.ground_contact import GROUND_LINK, Action, GroundCont
 from skygcs.ext.companions.order_book import Fresh, Known, OrderBook
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.offboard_engagement import VALID_S, OffboardEngagement
 from skygcs.runtime.order_runner import UNHEARD
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import LARGE_PIECES, LATEST_START_S, MAX_PIECES
@@ -305,13 +305,19 @@ class GroundOrders:
         if (answered := self.book.admit_setpoint(ground, session, number)) is not None:
             return answered
         self.book.contact(ground, now)
-        if not now - at_s <= MAX_SETPOINT_AGE_S:  # also for NaN
-            return Outcome.refused(f"it is {now - at_s:.1f} s old: the way to the companion is too slow for a stream")
+        age_s = now - at_s
+        if not age_s <= MAX_SETPOINT_AGE_S:  # also for NaN
+            return Outcome.refused(f"it is {age_s:.1f} s old: the way to the companion is too slow for a stream")
         try:
             engagement = _engagement(self._known())
             raw = given.get("raw")
             if isinstance(raw, dict):
-                return engagement.follow_raw(wire.raw_from(raw), valid_s)
+                left_s = valid_s - max(age_s, 0.0)  # nothing moves it on, as a place is: it is of its time
+                if left_s < VALID_S[0]:
+                    return Outcome.refused(
+                        f"it is {age_s:.2f} s old and valid for {valid_s:g} s: give a longer valid_s"
+                    )
+                return engagement.follow_raw(wire.raw_from(raw), left_s)
             wanted = wire.setpoint_from(given)
         except RefusedError as error:
             return Outcome.refused(str(error))

@@ -43,7 +43,7 @@ class RelayedOrderParams(RelayedParams):
 
 class RelayedSetpointParams(RelayedParams):
     at_s: float = Field(description="When it was given, on the companion's clock: it is moved on from then.")
-    valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(description="From its arrival on.")
+    valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(description="From its arrival on; a raw one from at_s on.")
     setpoint: dict[str, Any] = Field(description="Geodetic place and velocities along true ENU, or raw.")
 
 
