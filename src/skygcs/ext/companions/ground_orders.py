@@ -94,11 +94,13 @@ class GroundOrders:
         self._loop = loop
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event)
-        self._under_way: dict[int, asyncio.Task[Outcome]] = {}
-        """Orders being carried out, by number."""
+        self._under_way: dict[tuple[str, int], asyncio.Task[Outcome]] = {}
+        """Orders being carried out, by ground and number."""
         self._parts = wire.TrajectoryParts(MAX_PIECES)
         self._loaded: OrderedDict[str, LoadedTrajectory] = OrderedDict()
         self._followed: FollowedTrajectory | None = None
+        self._handed_over: str | None = None
+        """The order of the ground that takes over, or took over last."""
         self._ground_ids: tuple[int, int] | None = None
         """System and component id of the ground that has the companion."""
         self._heartbeat_at = -math.inf
@@ -111,8 +113,8 @@ class GroundOrders:
         refused = self.book.contact(ground, self._loop.time())
         if refused is None:
             self._ground_ids = ids
-        if actor is not None and self.book.ground != before:
-            _engagement(actor).keep("the ground that gave it is gone")  # and will not say how its order ended
+        if self.book.ground != before:
+            self._forget_ground(actor)
         return {**self.report(), "refused": refused}
 
     async def order(self, ground: str, session: str, number: int, until_s: float, order: str, given: Json) -> Json:
@@ -124,11 +126,11 @@ class GroundOrders:
             case Fresh():
                 self.book.contact(ground, now)
                 task = self._tasks.start(self._carried_out(ground, number, order, given), f"relayed {order}")
-                self._under_way[number] = task
-                task.add_done_callback(lambda _: self._under_way.pop(number, None))
+                self._under_way[ground, number] = task
+                task.add_done_callback(lambda _: self._under_way.pop((ground, number), None))
                 outcome = await asyncio.shield(task)
             case Known(outcome=None):
-                task_ = self._under_way.get(number)
+                task_ = self._under_way.get((ground, number))
                 outcome = Outcome.refused("it was given up") if task_ is None else await asyncio.shield(task_)
             case Known(outcome=known):
                 assert known is not None
@@ -208,6 +210,12 @@ class GroundOrders:
 
     # -- the inside
 
+    def _forget_ground(self, actor: VehicleActor | None) -> None:
+        """Another ground has the companion: the one before will not say how the order that takes over has ended."""
+        reason, self._handed_over = self._handed_over, None
+        if reason is not None and actor is not None and (engagement := _engagement(actor)).successor == reason:
+            engagement.keep("the ground that gave it is gone")
+
     def _actor(self) -> VehicleActor | None:
         return next((actor for actor in self._fleet.vehicles.values() if actor.name == self._vehicle), None)
 
@@ -280,6 +288,7 @@ class GroundOrders:
         The latter may have come before the former: each is enough."""
         match order:
             case "hand_over":
+                self._handed_over = reason
                 engagement.hand_over(reason)
             case "keep":
                 engagement.keep(reason)
