@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import random
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.flown import SETPOINTS
@@ -55,6 +57,85 @@ async def test_a_companion_obeys_a_ground_that_stood_still(tmp_path: Path) -> No
         assert pair.pi.place() == pytest.approx((5.0, 0.0, 12.0), abs=0.3)
 
 
+@KINDS
+async def test_an_order_that_is_denied_leaves_its_companion_flying_it(tmp_path: Path, kind: dict[str, Any]) -> None:
+    """The companion never heard that the order was denied: it took no goto, and the next engagement ended control."""
+    async with companion_pair(tmp_path, engaged="position", **kind) as pair:
+        assert not (await pair.outcome("missions.start"))["ok"]
+        await asyncio.sleep(2)
+        assert pair.control()["state"] == "flying" and pair.control()["successor"] is None
+        await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+        await pair.done("control.set", mode="velocity")
+        await asyncio.sleep(10)
+        assert pair.pi.place()[0] == pytest.approx(5.0, abs=0.5)
+        assert pair.pi.setpoints(pair.now - 0.5) and not [t for t in pair.told if t.kind == "unattended"]
+
+
+async def test_a_hand_over_whose_end_nobody_tells_is_shown_and_ends_with_its_ground(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with companion_pair(tmp_path, px4=1, engaged="position") as pair:
+        pair.calls.lose = lambda method, given: given.get("order") == "keep"
+        assert not (await pair.outcome("missions.start"))["ok"]
+        await asyncio.sleep(2)
+        shown = pair.control()
+        assert shown["state"] == "flying" and shown["successor"] == "the ground: mission was ordered", shown
+        assert "another order takes over" in (await pair.outcome("control.setpoint", pos_enu_m=[5, 0, 10]))["message"]
+        await another_ground(pair, monkeypatch)
+        await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+        await asyncio.sleep(8)
+        assert pair.pi.place()[0] == pytest.approx(5.0, abs=0.5) and pair.control()["state"] == "flying"
+
+
+@pytest.mark.parametrize("radio", [False, True])
+async def test_a_goto_while_a_copter_in_guided_is_engaged_is_flown(tmp_path: Path, radio: bool) -> None:
+    """Its companion saw no other mode, and held it by setpoints against the goto."""
+    async with companion_pair(tmp_path, px4=0, ardupilot=1, radio=radio) as pair:
+        engaging = asyncio.create_task(pair.outcome("control.set", mode="velocity"))
+        await pair.until(lambda: pair.pi.setpoints(0.0))
+        await pair.done("vehicles.goto", enu_m=[8.0, 0.0, 10.0])
+        assert not (await engaging)["ok"]
+        await asyncio.sleep(15)
+        assert pair.pi.place()[0] == pytest.approx(8.0, abs=1.0)
+        assert pair.control()["state"] == "off" and not pair.pi.setpoints(pair.now - 5.0)
+
+
+async def another_ground(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ground's daemon dies and begins again as another process does, with new numbers."""
+    await pair.lose_ground()
+    monkeypatch.setattr(companion_control, "RUN", "another")
+    monkeypatch.setattr(companion_control, "NUMBERS", itertools.count(1))
+    await asyncio.sleep(2)
+    await pair.ground_begins_again()
+    pair.calls.up = True
+    await pair.until(lambda: (pair.control().get("companion") or {}).get("up"), 15.0)
+
+
+async def test_the_setpoints_of_another_ground_are_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The companion took them for older ones than those of the ground before, and answered ok."""
+    async with companion_pair(tmp_path, px4=1, engaged="position") as pair:
+        for k in range(100):
+            await pair.done("control.setpoint", pos_enu_m=[0.01 * k, 0.0, 10.0])
+            await asyncio.sleep(0.02)
+        await another_ground(pair, monkeypatch)
+        await pair.done("control.set", mode="position")
+        for _ in range(60):
+            await pair.done("control.setpoint", pos_enu_m=[8.0, 0.0, 10.0])
+            await asyncio.sleep(0.1)
+        assert pair.pi.place()[0] == pytest.approx(8.0, abs=0.5)
+
+
+async def test_a_goto_is_not_undone_by_a_setpoint_that_was_given_before_it(tmp_path: Path) -> None:
+    """It waited for a place on the way, and left after the goto."""
+    async with companion_pair(tmp_path, px4=1, delay_s=0.7, engaged="position") as pair:
+        for _ in range(30):
+            await pair.done("control.setpoint", pos_enu_m=[0.0, 0.0, 10.0], valid_s=2.0)
+            await asyncio.sleep(0.02)
+        await pair.done("vehicles.goto", enu_m=[8.0, 0.0, 10.0])
+        await asyncio.sleep(15)
+        assert pair.pi.place()[0] == pytest.approx(8.0, abs=0.5)
+
+
 async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
     """Stream 30 s of a circle of 5 m at 2 m/s to the ground, and the root mean square of the vehicle's distance to it
     after the first 12 s."""
@@ -67,6 +148,49 @@ async def on_a_circle(pair: Pair, *, loss: float = 0.1) -> float:
         await asyncio.sleep(0.1)
     looks = [look for look in pair.pi.truth[1] if look.at >= began + 12.0]
     return math.sqrt(sum(math.dist(k.pos_m[:2], circle(k.at - began)[0]) ** 2 for k in looks) / len(looks))
+
+
+async def test_a_raw_setpoint_is_as_old_as_its_way_to_the_companion(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, px4=1, delay_s=0.4, engaged="raw") as pair:
+        level = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 90.0, "thrust": 0.5}
+        given = pair.now
+        await pair.done("control.setpoint", **level, valid_s=0.7)
+        await asyncio.sleep(0.5)
+        assert pair.pi.control()["raw"] == "attitude"
+        await pair.until(lambda: pair.pi.control()["raw"] is None, 2.0)
+        assert pair.now - given == pytest.approx(0.7, abs=0.1)
+        began = pair.now
+        await pair.done("control.setpoint", **level, valid_s=0.45)
+        await asyncio.sleep(1.0)
+        refused = await pair.outcome("control.setpoint", **level, valid_s=0.45)
+        assert "0.40 s old and valid for 0.45 s" in refused["message"], refused
+        assert "SET_ATTITUDE_TARGET" not in {s.name for s in pair.pi.setpoints(began + 0.1)}
+
+
+@pytest.mark.parametrize("newer", ["trajectory.resume", "control.set"])
+async def test_an_order_to_the_clock_that_was_lost_comes_with_the_next_or_after_it(tmp_path: Path, newer: str) -> None:
+    """The companion refused the pause, as a newer order came before its repeat, and was ahead for good."""
+    async with companion_pair(tmp_path, delay_s=0.4, engaged="position") as pair:
+        began = await start_circle(pair)
+        await asyncio.sleep(began + 8.0 - pair.now)
+        lost: list[int] = []
+
+        def lose(method: str, given: dict[str, Any]) -> bool:
+            if given.get("order") != "clock" or lost:
+                return False
+            lost.append(given["number"])
+            return True
+
+        pair.calls.lose = lose
+        await pair.done("trajectory.pause")
+        await asyncio.sleep(0.9)
+        await pair.done(newer, **({"mode": "velocity"} if newer == "control.set" else {}))
+        await asyncio.sleep(6)
+        flights = [actor.offboard.controller.flight for actor in (pair.ground.fleet.find("v1"), pair.pi.actor())]
+        here, there = (flight.clock.at(pair.now) for flight in flights if flight is not None)
+        assert lost and here.state is there.state
+        assert there.trajectory_s == pytest.approx(here.trajectory_s, abs=0.02)
+        assert not [t.text for t in pair.told if "ordered to" in t.text]
 
 
 @pytest.mark.deep

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
+from skygcs.ext.joystick.commands import JoystickFlight
+from skygcs.ext.joystick.stick_mapping import AxisChoice, StickAxes, StickLimits
+from skygcs.ext.joystick.stick_session import StickSession
 from skygcs.sim.conditions import conditions_of
 from support.examples import covered_by_other_flights
-from support.flown import aloft
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -22,6 +26,22 @@ DENIED: dict[str, tuple[str, dict[str, Any]]] = {
     "mode": ("vehicles.mode", {"mode": "{mission}"}),
     "mission": ("missions.start", {}),
 }
+
+
+@dataclass
+class StationInTheLoop:
+    """What a joystick calls, without a socket."""
+
+    gcs: Flown
+
+    async def call(self, method: str, **params: Any) -> Any:
+        return await self.gcs(method, **params)
+
+    async def setpoint(self, targets: str, **setpoint: Any) -> Any:
+        return (await self.gcs("control.setpoint", targets=targets, **setpoint))["outcomes"]
+
+    async def hold(self, targets: str) -> Any:
+        return (await self.gcs("vehicles.hold", targets=targets))["outcomes"]
 
 
 @covered_by_other_flights
@@ -66,6 +86,23 @@ async def test_an_order_that_is_not_heard_leaves_it_held(tmp_path: Path, kind: d
         quiet = gcs.now
         await asyncio.sleep(3)
         assert not gcs.setpoints(quiet) and gcs.texts(since) == ["control ended: land was ordered"]
+
+
+async def test_a_joystick_that_is_let_go_leaves_another_persons_landing_alone(tmp_path: Path) -> None:
+    """Until its mode showed, the status said "flying" without a reason: hold was sent over the landing."""
+    async with aloft(tmp_path, px4=1) as gcs:
+        await gcs.fly("velocity")
+        landing = asyncio.create_task(gcs.outcome("vehicles.land"))
+        await asyncio.sleep(0.2)
+        shown = (await gcs("control.status", targets="v1"))[0]
+        assert shown["state"] == "flying" and shown["successor"] == "land was ordered"
+        assert shown["reasons"] == ["another order takes over: land was ordered"]
+        joystick = JoystickFlight(cast(Any, StationInTheLoop(gcs)), "v1", engage=False, fleet_frame=True)
+        joystick._session = StickSession(StickAxes(*map(AxisChoice, range(4))), StickLimits(), 5, gcs.now)
+        await joystick._stop(flying=True)
+        assert (await landing)["ok"]
+        await asyncio.sleep(3)
+        assert gcs.actor().vehicle.mode == "AUTO.LAND"
 
 
 @KINDS

@@ -25,6 +25,7 @@ OFF: dict[str, Any] = {
     "control_mode": None,
     "state": "off",
     "reasons": [],
+    "successor": None,
     "reference": None,
     "error_enu_m": None,
     "error_m": None,

@@ -154,6 +154,9 @@ class ControlState(Result):
     )
     state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
     reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
+    successor: str | None = Field(
+        description="The order that takes over: until its mode is seen it is held, and no setpoint is followed."
+    )
     reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
     error_enu_m: list[float] | None = Field(
         description="Reference minus position along the fleet's axes; 0 for a height that follows its velocity."

@@ -180,19 +180,16 @@ class Fleet:
         return None if discovers(frame) else self.components.state_update(key, frame)
 
     def tick(self, now: float) -> None:
-        """Call `tick` of every vehicle, even if one fails; the first exception is raised at the end."""
+        """Call `tick` of every vehicle and every part, even if one fails; the first exception is raised at the end."""
         first: Exception | None = None
         if self.sleep.check():
             return
-        for actor in list(self.vehicles.values()):
+        parts = self.components.tick, self.trajectories.tick, lambda _: self.plans.tick(), self.notes.tick
+        for tick in (*(actor.tick for actor in self.vehicles.values()), *parts):
             try:
-                actor.tick(now)
+                tick(now)
             except Exception as error:
                 first = first or error
-        self.components.tick(now)
-        self.trajectories.tick(now)
-        self.plans.tick()
-        self.notes.tick(now)
         if first is not None:
             raise first
 

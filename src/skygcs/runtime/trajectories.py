@@ -11,6 +11,7 @@ others on their paths: what is planned for them does not know that one stands st
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import itertools
 import math
@@ -311,8 +312,8 @@ class Trajectories:
         """Stop the groups of plans on their paths: nobody checks their flights any more."""
         now = self._loop.time()
         for group in self._groups:
-            if group.plan is not None and group.clock.at(now).state in (ClockState.WAITING, ClockState.RUNNING):
-                group.clock.pause(now)
+            if group.plan is not None:
+                _stop(group, now)
 
     def resume(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
         """Let their groups go on; those that left a group stay out of it."""
@@ -390,8 +391,7 @@ class Trajectories:
         if not gone or not group.flights:
             return
         names = ", ".join(actor.name for actor in gone)
-        if group.clock.at(now).state not in (ClockState.ABORTING, ClockState.PAUSED):
-            group.clock.pause(now)
+        _stop(group, now)
         for actor in group.flights:
             text = f"it stops on its path, because {names} left: resume or abort the trajectory"
             self._publish(group, actor, text, group.clock.at(now).state)
@@ -476,6 +476,12 @@ def _thinned(drawn: DrawnPath, step: int) -> list[tuple[float, float, float]]:
     """Every ``step``th point, and the last."""
     points = drawn.points_enu_m
     return [*points[:-1:step], points[-1]]
+
+
+def _stop(group: TrajectoryGroup, now: float) -> None:
+    """Stop a group on its path, unless it has ended or is about to."""
+    with contextlib.suppress(RefusedError):
+        group.clock.pause(now)
 
 
 def _require_no_plan(group: TrajectoryGroup) -> None:

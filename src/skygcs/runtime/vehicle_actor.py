@@ -248,9 +248,12 @@ class VehicleActor:
 
     def control_state(self, now: float) -> dict[str, Any]:
         """Control by setpoints, in the fleet's world frame."""
-        if not isinstance(self.offboard, OffboardEngagement):
-            return self.offboard.status(now)
-        return shown(self.offboard.status(now), self.offboard.controller.frame, self.vehicle.origin)
+        offboard = self.offboard
+        if not isinstance(offboard, OffboardEngagement):
+            return offboard.status(now)
+        state = shown(offboard.status(now), offboard.controller.frame, self.vehicle.origin)
+        successor = [] if offboard.successor is None else [f"another order takes over: {offboard.successor}"]
+        return state | {"successor": offboard.successor, "reasons": [*successor, *state["reasons"]]}
 
     def describe(self, now: float) -> dict[str, Any]:
         """Its autopilot as one component of its system; see `component.describe`."""

@@ -149,6 +149,20 @@ async def test_the_captured_flights_are_told_as_they_happened() -> None:
         json.dumps(state, allow_nan=False)
 
 
+async def test_a_part_that_fails_in_a_tick_takes_no_other_part_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    listening, ticked = Listening(), list[str]()
+    for part in ("components", "trajectories", "plans", "notes"):
+
+        def tick(*now: float, part: str = part) -> None:
+            ticked.append(part)
+            raise ValueError(part)
+
+        monkeypatch.setattr(getattr(listening.fleet, part), "tick", tick)
+    with pytest.raises(ValueError, match="components"):
+        listening.fleet.tick(1.0)
+    assert ticked == ["components", "trajectories", "plans", "notes"]
+
+
 async def test_the_next_control_tick_is_the_first_of_all_vehicles() -> None:
     listening = Listening()
     fleet = listening.fleet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,13 +11,16 @@ import pytest
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.separation import MonitorConfig
-from skygcs.core.geo import Origin
-from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
+from skygcs.core.vehicle.flight_lock import FlightLock
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.runtime import trajectories
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.trajectories import LARGE_PIECES, MAX_PIECES, Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.table import each
 
 ORIGIN = Origin(43.7806, -79.4653, 180.0)
 
@@ -106,6 +110,42 @@ async def test_a_start_in_the_past_or_never_starts_nothing() -> None:
     for at_s in (now - 1.0, now + 1e6, float("inf"), float("nan")):
         outcome = kept.start([alpha], at_s, 1.0)["alpha"]
         assert not outcome.ok and "the start is" in outcome.message
+
+
+@pytest.mark.looptime
+@each("gone", ["alpha", None])
+async def test_a_group_that_an_abort_is_about_to_stop_is_not_paused(gone: str | None) -> None:
+    """One leaves it, or nobody watches its plan any more, while the abort waits for its lead: to pause it was refused,
+    in the middle of the fleet's tick."""
+    loop, told = asyncio.get_running_loop(), list[str]()
+    both = actor("alpha"), actor("bravo")
+    kept = Trajectories(lambda: both, loop, lambda event: told.append(event.text), unwatched(), FlightLocks())
+    for one in both:
+        cast(Any, one).runner = SimpleNamespace(note_effect=lambda: None)
+        offboard = cast(Any, one.offboard)
+        offboard.lead_s, offboard.successor, offboard.trajectory_refusal = 0.8, None, lambda *given: None
+        offboard.controller.reasons = ("hold was ordered",)
+        offboard.follow_trajectory = partial(follow, offboard.controller)
+        await kept.load(one, line(10), one.name)
+    assert kept.start(both, loop.time() + 1.0, 1.0)["bravo"].ok
+    await asyncio.sleep(4)
+    kept.abort(both)
+    if gone is None:
+        (group,) = kept._groups
+        group.plan = "a plan"
+        kept.pause_plans()
+    else:
+        cast(Any, both[0].offboard).controller.flight = None
+        kept.tick(loop.time())
+        assert any("alpha left" in text for text in told)
+    await asyncio.sleep(5)
+    (shown,) = kept.status(both[1:])
+    assert shown["flight"]["state"] == "aborted"
+
+
+def follow(controller: Any, loaded: LoadedTrajectory, clock: TrajectoryClock, lock: FlightLock) -> TrajectoryFlight:
+    controller.flight = TrajectoryFlight(loaded, clock, lock.origin, EnuFrame(lock.origin))
+    return cast(TrajectoryFlight, controller.flight)
 
 
 async def test_paths_are_points_of_what_is_loaded_or_flown_and_come_again_only_after_a_change() -> None:

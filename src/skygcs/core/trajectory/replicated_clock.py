@@ -9,7 +9,8 @@
     companion             └─ delay ─┐ noted└ rate falls          the same s(t) on both, whatever the delay below lead_s
 
 An order that reaches a replica after its time is carried out when it comes: the replica is ahead on its path by rate
-times the lateness, which its vehicle's distance from the common reference shows.
+times the lateness, which its vehicle's distance from the common reference shows. Orders have to be noted as they were
+given: a pause that is noted after the resume that followed it would stand.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ClockOrder, ReplicatedClock
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
@@ -66,7 +66,7 @@ ENGAGE_S = 22.0
 """An engagement takes up to 5 s of measuring and 7 s of switching, twice with a change of the position's rate."""
 
 RELEASE_S = 20.0
-"""A release is repeated for so long; it is harmless at any time, as an engagement that follows has a higher number."""
+"""An end of control is repeated for so long; it is harmless at any time, as what follows has a higher number."""
 
 LEAST_LEAD_S, MOST_LEAD_S = 0.3, 4.0
 """An order to the clock takes effect so much later. Two ways and a repeat fit into it up to a round trip of 1.5 s."""
@@ -114,8 +114,6 @@ class CompanionControl:
     silent_after_s = REPORTS_SILENT_S
     sends_setpoints = False
     """The ground sends it none: they take nothing of its links."""
-    successor = None
-    """The companion knows which order takes over; see `OffboardEngagement.successor`."""
 
     def __init__(
         self,
@@ -147,13 +145,15 @@ class CompanionControl:
         """Trajectories that the companion has, and their keys there."""
         self._orders_of_entry = 0
         """Engagements whose outcome is awaited."""
+        self._handed_over: tuple[int, str] | None = None
+        """Number of the hand-over and the order that takes over, until the companion knows how that ended."""
         # contact with the companion
         self._round_trip_s: float | None = None
         self._refused: str | None = None
         """Why the companion does not take this ground's contacts."""
         self._origin_there: Json | None = None
         # setpoints on their way
-        self._waiting: tuple[Json, float] | None = None
+        self._waiting: Json | None = None
         """The newest setpoint that has no place on the way yet."""
         self._setpoints = 0
         self._setpoint_refusal: tuple[str, float] = ("", -math.inf)
@@ -171,8 +171,13 @@ class CompanionControl:
 
     @property
     def flying(self) -> bool:
-        """True while the companion flies it, as far as is known."""
-        return self.controller.state is OffboardState.FLYING
+        """True while the companion flies it, as far as is known, and no order takes over."""
+        return self.controller.state is OffboardState.FLYING and self.successor is None
+
+    @property
+    def successor(self) -> str | None:
+        """See `OffboardEngagement.successor`; the companion's."""
+        return self.controller.successor
 
     @property
     def may_send(self) -> bool:
@@ -218,21 +223,16 @@ class CompanionControl:
     def release(self, reason: str) -> None:
         """Have the companion send nothing from now on. Idempotent. The vehicle itself is ordered over its own links
         beside this: its companion yields to the mode that it shows then."""
-        if self.controller.state is OffboardState.OFF and self._orders_of_entry == 0:
-            return
-        number = next(self._numbers)
-        self.controller.release(number, reason)
-        self._publish(f"control ended: {reason}")
-        self._tasks.start(self._relay("release", {"reason": reason}, number, start_s=RELEASE_S), "release")
+        self._end("release", reason)
 
     def hand_over(self, reason: str) -> None:
-        """A newer order takes over: the companion holds until it sees the order's mode."""
-        self.release(reason)
+        """A newer order takes over: the companion holds until it sees the order's mode or hears how the order ended."""
+        self._end("hand_over", reason)
 
     def flown_by(self, now: float) -> str | None:
         """The companion, while it flies the vehicle and is in contact: it answers, or its heartbeats are heard. None:
         it does not, or is silent."""
-        if not self.controller.active:
+        if not self.controller.active and self._handed_over is None:
             return None
         heartbeat_at = self._companion_heard_at(self._vehicle.sysid)
         heard_at = max(self.controller.reported_at, -math.inf if heartbeat_at is None else heartbeat_at)
@@ -244,10 +244,14 @@ class CompanionControl:
         return self.controller.session is not None
 
     def taken_over(self) -> None:
-        """The companion sees it itself."""
+        """The companion is told: it sees it by itself only where the order's mode does not follow setpoints."""
+        if self._handed_over is not None:
+            self._end("taken_over", self._handed_over[1])
 
     def keep(self, why: str) -> None:
-        """The companion goes on holding by itself."""
+        """The companion is told, and reports what it does then."""
+        if self._handed_over is not None:
+            self._tasks.start(self._keep(self._handed_over, why), "keep")
 
     def why_not_to(self, _place: GeodeticPosition) -> str | None:
         """Why the reference may not be moved there, as far as the ground knows; the companion has its own fence."""
@@ -334,10 +338,17 @@ class CompanionControl:
         frame, number = EnuFrame(origin), next(self._numbers)
         flight = TrajectoryFlight(loaded, clock, origin, frame)
         self.controller.follow(flight, frame, number)
+        unanswered: dict[int, ClockOrder] = {}
 
         def on_order(order: ClockOrder) -> None:
-            if self.controller.flight is flight:
-                self._tasks.start(self._order_clock(number, order), f"clock {order.kind}")
+            if self.controller.flight is not flight:
+                return
+            if len(unanswered) >= MAX_NOTED:
+                self._publish(f"its trajectory is not ordered to {order.kind}: {MAX_NOTED} orders were not answered")
+                return
+            order_number = next(self._numbers)
+            unanswered[order_number] = order
+            self._tasks.start(self._order_clock(number, order_number, unanswered), f"clock {order.kind}")
 
         clock.observers.append(on_order)
         self._tasks.start(self._start(flight, clock, number, origin), "start of a trajectory")
@@ -382,6 +393,7 @@ class CompanionControl:
             "control_mode": None if controller.control_mode is None else controller.control_mode.value,
             "mode": None if controller.state is OffboardState.OFF else controller.wanted.value,
             "reasons": list(controller.reasons),
+            "successor": controller.successor,
             "companion": {
                 "name": self._name,
                 "up": why is None,
@@ -414,6 +426,23 @@ class CompanionControl:
             self.lock = self._locks.take(lock, lambda: self.lock is lock and self._flies())
         return self.lock
 
+    def _end(self, order: str, reason: str) -> None:
+        """Relay an order by which control ends, if there is any, and show it as ended at once."""
+        before = self._handed_over
+        if before is None and self.controller.state is OffboardState.OFF and self._orders_of_entry == 0:
+            return
+        number = next(self._numbers)
+        self._handed_over = (number, reason) if order == "hand_over" else None
+        self.controller.release(number, reason)
+        if before is None:
+            self._publish(f"control ended: {reason}")
+        self._tasks.start(self._relay(order, {"reason": reason}, number, start_s=RELEASE_S), order)
+
+    async def _keep(self, handed_over: tuple[int, str], why: str) -> None:
+        await self._relay("keep", {"reason": why}, start_s=RELEASE_S)
+        if self._handed_over is handed_over:  # else a newer order has it handed over
+            self._handed_over = None
+
     def _flies(self) -> bool:
         """True if its companion flies it, or is being asked to."""
         return self.controller.active or self._orders_of_entry > 0
@@ -423,6 +452,8 @@ class CompanionControl:
             return why
         if self.flying:
             return None
+        if self.successor is not None:
+            return f"another order takes over: {self.successor}"
         why = "; ".join(self.controller.reasons)
         held = self.controller.state is OffboardState.HELD
         what = f"it is held: {why}" if held else "control is off"
@@ -489,11 +520,16 @@ class CompanionControl:
             self.controller.drop_flight(outcome.message)
             self._publish(f"it does not follow {flight.loaded.name}: {outcome.message}")
 
-    async def _order_clock(self, flight: int, order: ClockOrder) -> None:
-        given = {"flight": flight, "order": order.kind, "at_s": self._there(order.at_s)}
-        if order.speed_factor is not None:
-            given["speed_factor"] = order.speed_factor
-        outcome = await self._relay("clock", given)
+    async def _order_clock(self, flight: int, number: int, unanswered: dict[int, ClockOrder]) -> None:
+        """One order, with all before it that were not answered: this one may come before their repeats."""
+        order = unanswered[number]
+        orders = [{"number": n, **wire.clock_order_json(o), "at_s": self._there(o.at_s)} for n, o in unanswered.items()]
+        outcome = await self._relay("clock", {"flight": flight, "orders": orders}, number)
+        if number not in unanswered:
+            return  # a newer one, which carried it, was answered
+        if outcome.ok:
+            for known in [n for n in unanswered if n <= number]:
+                del unanswered[known]
         if not outcome.ok or "too late" in outcome.message:
             self._publish(f"its trajectory, ordered to {order.kind}: {outcome.message}")
 
@@ -569,26 +605,27 @@ class CompanionControl:
             return Outcome.refused(why)
         refusal, until = self._setpoint_refusal
         now = self._loop.time()
-        given = {"at_s": self._there(now), "valid_s": valid_s, "setpoint": given}
+        params = {
+            "ground": self._ground,
+            "session": self.controller.session or "",
+            "number": next(self._numbers),  # of now: an order that is given while it waits is newer
+            "at_s": self._there(now),
+            "valid_s": valid_s,
+            "setpoint": given,
+        }
         if self._setpoints < SETPOINT_WAYS:
-            self._tasks.start(self._send_setpoint(given), "setpoint")
+            self._tasks.start(self._send_setpoint(params), "setpoint")
         else:
-            self._waiting = given, now  # the newest one takes its place
+            self._waiting = params  # the newest one takes its place
         if now < until:
             return Outcome.refused(refusal)
         return Outcome(True, "accepted", f"relayed to {self._name}")
 
-    async def _send_setpoint(self, given: Json) -> None:
+    async def _send_setpoint(self, params: Json) -> None:
         companion = self._companions.get(self._vehicle.name)
         if companion is None:
             return
         self._setpoints += 1
-        params = {
-            "ground": self._ground,
-            "session": self.controller.session or "",
-            "number": next(self._numbers),
-            **given,
-        }
         try:
             answer = await companion.call("companion.setpoint", params, MAX_SETPOINT_WAIT_S)
         except (LinkError, RpcError):
@@ -597,7 +634,7 @@ class CompanionControl:
             self._setpoints -= 1
             waiting, self._waiting = self._waiting, None
             if waiting is not None and self.flying:
-                self._tasks.start(self._send_setpoint(waiting[0]), "setpoint")
+                self._tasks.start(self._send_setpoint(waiting), "setpoint")
         self._take(answer.get("report") or {}, self._loop.time())
         outcome = _outcome(answer.get("outcome"), 0.0)
         if not outcome.ok:
@@ -623,7 +660,7 @@ EMPTY_STATUS: Json = {
         ("mode", "control_mode", "reference", "error_enu_m", "error_m", "state_age_s", "delay_p95_s", "rtt_s")
     ),
     **dict.fromkeys(("rate_hz", "lateness_p99_s", "trajectory", "prediction", "raw", "thrust", "roll_deg")),
-    **dict.fromkeys(("pitch_deg", "recording")),
+    **dict.fromkeys(("pitch_deg", "recording", "successor")),
     **dict.fromkeys(("ticks", "late", "skipped"), 0),
     "state": "off",
     "reasons": [],

@@ -11,13 +11,14 @@ import math
 import secrets
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import Trajectory
-from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ReplicatedClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
 from skygcs.events import Event
@@ -26,7 +27,7 @@ from skygcs.ext.companions.ground_contact import GROUND_LINK, Action, GroundCont
 from skygcs.ext.companions.order_book import Fresh, Known, OrderBook
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.offboard_engagement import VALID_S, OffboardEngagement
 from skygcs.runtime.order_runner import UNHEARD
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trajectories import LARGE_PIECES, LATEST_START_S, MAX_PIECES
@@ -37,9 +38,6 @@ GCS_TYPE = 6
 
 MAX_TRAJECTORIES = 64
 """Kept for a start: a plan has one for each of its steps."""
-
-LARGEST_SECONDS = 1e12
-"""Largest number accepted in a relayed order: seconds of a clock."""
 
 PLACED = StartTube(5.0, 2.0)
 """The ground has compared the place with its certificate; farther than this it has another frame."""
@@ -57,10 +55,23 @@ RETURN: Mapping[Action, Callable[[VehicleActor], Awaitable[Outcome]]] = {
     "land": VehicleActor.land,
 }
 
-RELAYED_MOVES = frozenset({"engage", "release", "goto", "start", "clock"})
-"""Orders that move the vehicle: an older one than the newest is not carried out."""
+RELAYED_MOVES = frozenset({"engage", "hand_over", "taken_over", "keep", "release", "goto", "start", "clock"})
+"""Orders that move the vehicle: an older one than the newest is not carried out, but for `OF_A_FLIGHT`."""
+
+OF_A_FLIGHT = frozenset({"clock"})
+"""They name the flight that they are about, and are numbered in it: they count for as long as it is flown."""
 
 Json = dict[str, Any]
+
+
+@dataclass(slots=True)
+class FollowedTrajectory:
+    """``number`` of the order that began it; ``noted``: of the newest order to its clock."""
+
+    number: int
+    flight: TrajectoryFlight
+    clock: ReplicatedClock
+    noted: int = 0
 
 
 class GroundOrders:
@@ -83,40 +94,43 @@ class GroundOrders:
         self._loop = loop
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event)
-        self._under_way: dict[int, asyncio.Task[Outcome]] = {}
-        """Orders being carried out, by number."""
+        self._under_way: dict[tuple[str, int], asyncio.Task[Outcome]] = {}
+        """Orders being carried out, by ground and number."""
         self._parts = wire.TrajectoryParts(MAX_PIECES)
         self._loaded: OrderedDict[str, LoadedTrajectory] = OrderedDict()
-        self._flight: tuple[int, TrajectoryFlight, ReplicatedClock] | None = None
-        """The number of the order that began it, and what it follows."""
+        self._followed: FollowedTrajectory | None = None
+        self._handed_over: str | None = None
+        """The order of the ground that takes over, or took over last."""
         self._ground_ids: tuple[int, int] | None = None
         """System and component id of the ground that has the companion."""
         self._heartbeat_at = -math.inf
-        self._setpoint_number = 0
 
     # -- what the ground calls
 
     def contact(self, ground: str, ids: tuple[int, int]) -> Json:
         """A ground is there: the report of the companion's control. ``ids``: of its heartbeats."""
+        before, actor = self.book.ground, self._actor()
         refused = self.book.contact(ground, self._loop.time())
         if refused is None:
             self._ground_ids = ids
+        if self.book.ground != before:
+            self._forget_ground(actor)
         return {**self.report(), "refused": refused}
 
     async def order(self, ground: str, session: str, number: int, until_s: float, order: str, given: Json) -> Json:
         """Carry out one order, or return the outcome of an earlier one with this number."""
         now = self._loop.time()
-        moves = order in RELAYED_MOVES
-        admitted = self.book.admit(ground, session, number, moves=moves, until_s=until_s, now=now)
+        moves, in_turn = order in RELAYED_MOVES, order not in OF_A_FLIGHT
+        admitted = self.book.admit(ground, session, number, moves=moves, in_turn=in_turn, until_s=until_s, now=now)
         match admitted:
             case Fresh():
                 self.book.contact(ground, now)
                 task = self._tasks.start(self._carried_out(ground, number, order, given), f"relayed {order}")
-                self._under_way[number] = task
-                task.add_done_callback(lambda _: self._under_way.pop(number, None))
+                self._under_way[ground, number] = task
+                task.add_done_callback(lambda _: self._under_way.pop((ground, number), None))
                 outcome = await asyncio.shield(task)
             case Known(outcome=None):
-                task_ = self._under_way.get(number)
+                task_ = self._under_way.get((ground, number))
                 outcome = Outcome.refused("it was given up") if task_ is None else await asyncio.shield(task_)
             case Known(outcome=known):
                 assert known is not None
@@ -145,11 +159,11 @@ class GroundOrders:
         if actor is None:
             return base
         engagement = _engagement(actor)
-        tracking, flight = engagement.tracking, self._flight
-        follows = flight is not None and engagement.controller.flight is flight[1]
+        tracking, followed = engagement.tracking, self._followed
+        follows = followed is not None and engagement.controller.flight is followed.flight
         return base | {
             "control": actor.control_state(now),
-            "flight": flight[0] if follows and flight is not None else None,
+            "flight": followed.number if follows and followed is not None else None,
             "gains": engagement.gains(),
             "guard_falls": dict(engagement.controller.guard_falls),
             "tracking": {
@@ -174,9 +188,9 @@ class GroundOrders:
         actor = self._actor()
         if actor is None or self.book.ground is None:
             return
-        engagement, flight = _engagement(actor), self._flight
-        if flight is not None and engagement.controller.flight is not flight[1]:
-            self._flight = flight = None
+        engagement, followed = _engagement(actor), self._followed
+        if followed is not None and engagement.controller.flight is not followed.flight:
+            self._followed = None
         contact_at = max(self.book.contact_at, self._heartbeat_at)
         watch, before = self.contact_watch, self.contact_watch.state
         silent_s = watch.silence_s(now, contact_at)
@@ -195,6 +209,12 @@ class GroundOrders:
         self._tasks.close()
 
     # -- the inside
+
+    def _forget_ground(self, actor: VehicleActor | None) -> None:
+        """Another ground has the companion: the one before will not say how the order that takes over has ended."""
+        reason, self._handed_over = self._handed_over, None
+        if reason is not None and actor is not None and (engagement := _engagement(actor)).successor == reason:
+            engagement.keep("the ground that gave it is gone")
 
     def _actor(self) -> VehicleActor | None:
         return next((actor for actor in self._fleet.vehicles.values() if actor.name == self._vehicle), None)
@@ -241,9 +261,9 @@ class GroundOrders:
             case "engage":
                 self._take_origin(wire.origin_from(given.get("origin")))
                 return await actor.control(str(given.get("mode")), force=given.get("force") is True)
-            case "release":
-                engagement.hand_over(f"the ground: {given.get('reason')}"[:200])
-                return Outcome(True, "accepted", "control ends at the companion with the order's mode")
+            case "hand_over" | "taken_over" | "keep" | "release":
+                self._end(actor, engagement, order, f"the ground: {given.get('reason')}"[:200])
+                return Outcome(True, "accepted", "")
             case "goto":
                 place = wire.setpoint_from({"place": given.get("place"), "yaw_enu_rad": given.get("yaw_enu_rad")})
                 if place.place is None:
@@ -263,6 +283,20 @@ class GroundOrders:
                 return self._order_clock(engagement, given)
         raise RefusedError(f"the companion knows no order {order!r}; is its skygcs older?")
 
+    def _end(self, actor: VehicleActor, engagement: OffboardEngagement, order: str, reason: str) -> None:
+        """The ground ends control, or hands it over to an order that it sends by MAVLink and says how that has ended.
+        The latter may have come before the former: each is enough."""
+        match order:
+            case "hand_over":
+                self._handed_over = reason
+                engagement.hand_over(reason)
+            case "keep":
+                engagement.keep(reason)
+            case _:
+                engagement.release(reason)
+        if order == "taken_over":
+            actor.unattended.watch.on_station("the ground", "place", self._loop.time())
+
     def _take_origin(self, origin: Origin | None) -> Outcome:
         """The ground's origin, in which its trajectories are. Raises RefusedError, which names both."""
         ours = self._fleet.origin
@@ -277,19 +311,22 @@ class GroundOrders:
     def _setpoint(
         self, ground: str, session: str, number: int, at_s: float, valid_s: float, given: Json, now: float
     ) -> Outcome:
-        if session != self.book.session or ground != self.book.ground:
-            return Outcome.refused("the companion has restarted, or another ground has it")
+        if (answered := self.book.admit_setpoint(ground, session, number)) is not None:
+            return answered
         self.book.contact(ground, now)
-        if number <= self._setpoint_number:
-            return Outcome(True, "accepted", "a newer setpoint came before it")
-        self._setpoint_number = number
-        if not now - at_s <= MAX_SETPOINT_AGE_S:  # also for NaN
-            return Outcome.refused(f"it is {now - at_s:.1f} s old: the way to the companion is too slow for a stream")
+        age_s = now - at_s
+        if not age_s <= MAX_SETPOINT_AGE_S:  # also for NaN
+            return Outcome.refused(f"it is {age_s:.1f} s old: the way to the companion is too slow for a stream")
         try:
             engagement = _engagement(self._known())
             raw = given.get("raw")
             if isinstance(raw, dict):
-                return engagement.follow_raw(wire.raw_from(raw), valid_s)
+                left_s = valid_s - max(age_s, 0.0)  # nothing moves it on, as a place is: it is of its time
+                if left_s < VALID_S[0]:
+                    return Outcome.refused(
+                        f"it is {age_s:.2f} s old and valid for {valid_s:g} s: give a longer valid_s"
+                    )
+                return engagement.follow_raw(wire.raw_from(raw), left_s)
             wanted = wire.setpoint_from(given)
         except RefusedError as error:
             return Outcome.refused(str(error))
@@ -334,28 +371,33 @@ class GroundOrders:
             rests_at_end=given.get("rests_at_end") is True,
         )
         clock.start(now, max(now, at_s))
-        self._flight = number, engagement.follow_trajectory(loaded, clock, lock), clock
+        self._followed = FollowedTrajectory(number, engagement.follow_trajectory(loaded, clock, lock), clock)
         return Outcome(True, "accepted", f"{loaded.name} begins in {at_s - now:.1f} s")
 
     def _order_clock(self, engagement: OffboardEngagement, given: Json) -> Outcome:
-        """An order of the ground's clock, for its replica."""
-        flight = self._flight
-        if flight is None or flight[0] != given.get("flight") or engagement.controller.flight is not flight[1]:
+        """Orders of the ground's clock, for its replica: those that it does not have yet."""
+        followed, orders = self._followed, given.get("orders")
+        if followed is None or followed.number != given.get("flight"):
             raise RefusedError("it does not follow this trajectory any more")
-        kind = given.get("order")
-        if kind not in ("pause", "resume", "abort", "speed"):
-            raise RefusedError("a clock is ordered to pause, resume, abort or speed")
-        at_s = _number(given, "at_s")
-        late_s = self._loop.time() - at_s
-        flight[2].note(ClockOrder(kind, at_s, _number(given, "speed_factor") if kind == "speed" else None))
-        late = "" if late_s <= 0.0 else f", {late_s:.2f} s too late"
-        return Outcome(True, "accepted", f"{kind}{late}")
+        if engagement.controller.flight is not followed.flight:
+            raise RefusedError("it does not follow this trajectory any more")
+        if not isinstance(orders, list) or len(orders) > MAX_NOTED:
+            raise RefusedError(f"a clock gets a list of up to {MAX_NOTED} orders")
+        done = []
+        for number, order in [wire.clock_order_from(values) for values in orders]:
+            if number <= followed.noted:
+                continue
+            followed.clock.note(order)
+            followed.noted = number
+            late_s = self._loop.time() - order.at_s
+            done.append(order.kind + (f", {late_s:.2f} s too late" if late_s > 0.0 else ""))
+        return Outcome(True, "accepted", "; ".join(done))
 
 
 def _number(given: Json, key: str) -> float:
     """Raises RefusedError."""
     value = given.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_SECONDS:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= wire.LARGEST_SECONDS:
         raise RefusedError(f"{key} is a number")
     return float(value)
 

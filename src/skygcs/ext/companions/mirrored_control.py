@@ -76,6 +76,8 @@ class MirroredControl:
         self.wanted = ControlMode.POSITION
         self.control_mode: ControlMode | None = None
         self.reasons: tuple[str, ...] = ()
+        self.successor: str | None = None
+        """The order that takes over from its setpoints, as the companion reports it."""
         self.frame: EnuFrame | None = None
         """The frame that ``flight`` is in."""
         self.flight: TrajectoryFlight | None = None
@@ -187,7 +189,7 @@ class MirroredControl:
 
     def _off(self, reason: str) -> None:
         self.state, self.control_mode = OffboardState.OFF, None
-        self.flight, self._flight_number = None, None
+        self.flight, self._flight_number, self.successor = None, None, None
         self.reasons = (reason[:MAX_TEXT],) if reason else ()
 
     def _take_state(self, report: Mapping[str, Any], newest: int) -> list[str]:
@@ -199,7 +201,8 @@ class MirroredControl:
         before, self.state = self.state, state
         self.wanted = _member(ControlMode, section.get("mode")) or self.wanted
         mode_before, self.control_mode = self.control_mode, _member(ControlMode, section.get("control_mode"))
-        reasons = section.get("reasons")
+        reasons, successor = section.get("reasons"), section.get("successor")
+        self.successor = None if successor is None else str(successor)[:MAX_TEXT]
         texts = [str(text)[:MAX_TEXT] for text in reasons[:MAX_REASONS]] if isinstance(reasons, list) else []
         if texts or state is not OffboardState.OFF or before is not OffboardState.OFF:
             self.reasons = tuple(texts)

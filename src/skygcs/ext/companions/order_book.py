@@ -7,8 +7,12 @@
     known, still being carried out                   its outcome is awaited      that outcome, once it is there
     known, ended                                     nothing                     its outcome, again
     new, after its deadline                          nothing                     refused: it came too late
-    new, moves the vehicle, a newer such order came  nothing                     refused: a newer order came before it
+    new, moves the vehicle, a newer such order came  nothing, unless it is to    refused: a newer order came before it
+                                                     the clock of a flight
     new                                              it is carried out           its outcome
+    setpoint, a newer one or a newer order that      nothing                     accepted: it was replaced
+    moves the vehicle came
+    setpoint, new                                    it is followed              its outcome
 
 The ground may therefore repeat an order as often as it likes, with the same number: a repeat of an engagement whose
 answer was lost cannot begin control anew after a release that came meanwhile.
@@ -57,6 +61,9 @@ class Refused:
 
 Admission = Fresh | Known | Refused
 
+REPLACED = Outcome(True, "accepted", "a newer setpoint or order came before it")
+"""The newest of a stream wins: one that was overtaken on the way is no failure."""
+
 
 class OrderBook:
     """Orders to one vehicle. ``session`` names this run of the companion's daemon."""
@@ -68,6 +75,8 @@ class OrderBook:
         """The run of the ground's daemon that has the companion."""
         self.newest_moving = 0
         """The highest number of an order that was carried out and moves the vehicle."""
+        self.newest_setpoint = 0
+        """The highest number of a setpoint of a stream that came."""
         self.contact_at = -math.inf
         self._release_ground_s = release_ground_s
         self._outcomes: OrderedDict[int, Outcome | None] = OrderedDict()
@@ -84,32 +93,48 @@ class OrderBook:
                     f"{self._release_ground_s:g} s without it"
                 )
             self.ground = ground
-            self.newest_moving = self._forgotten = 0
+            self.newest_moving = self.newest_setpoint = self._forgotten = 0
             self._outcomes.clear()
         self.contact_at = now
         return None
 
-    def admit(self, ground: str, session: str, number: int, *, moves: bool, until_s: float, now: float) -> Admission:
-        """Decide about an order. ``until_s``: its deadline on the companion's clock, on which ``now`` is, too."""
-        if session != self.session:
-            return Refused("the companion's skygcs has restarted since this order was given")
-        if ground != self.ground:
-            return Refused("another ground has this companion, or none yet")
+    def admit(
+        self, ground: str, session: str, number: int, *, moves: bool, in_turn: bool = True, until_s: float, now: float
+    ) -> Admission:
+        """Decide about an order. ``until_s``: its deadline on the companion's clock, on which ``now`` is, too. Without
+        ``in_turn`` it is carried out after a newer one that moves the vehicle, too."""
+        if (stranger := self._stranger(ground, session)) is not None:
+            return stranger
         if number in self._outcomes:
             return Known(self._outcomes[number])
         if number <= self._forgotten:
             return Refused("it is older than what the companion remembers")
         if not now <= until_s:  # also for NaN
             return Refused(f"it came {now - until_s:.1f} s too late")
-        if moves and number < self.newest_moving:
+        if moves and in_turn and number < self.newest_moving:
             return Refused("a newer order came before it")
         if moves:
-            self.newest_moving = number
+            self.newest_moving = max(number, self.newest_moving)
         self._outcomes[number] = None
         while len(self._outcomes) > MAX_KEPT:
             oldest, _ = self._outcomes.popitem(last=False)
             self._forgotten = max(self._forgotten, oldest)
         return Fresh()
+
+    def admit_setpoint(self, ground: str, session: str, number: int) -> Outcome | None:
+        """None: this setpoint of a stream is to be followed, as it was given after all setpoints and all orders that
+        move the vehicle so far. Else what is answered."""
+        if (stranger := self._stranger(ground, session)) is not None:
+            return Outcome.refused(stranger.why)
+        if number <= max(self.newest_setpoint, self.newest_moving):
+            return REPLACED
+        self.newest_setpoint = number
+        return None
+
+    def _stranger(self, ground: str, session: str) -> Refused | None:
+        if session != self.session:
+            return Refused("the companion's skygcs has restarted since this was given")
+        return None if ground == self.ground else Refused("another ground has this companion, or none yet")
 
     def ended(self, ground: str, number: int, outcome: Outcome) -> None:
         """An order that was `Fresh` has this outcome."""

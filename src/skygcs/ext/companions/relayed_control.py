@@ -17,6 +17,12 @@ RunId = Annotated[str, Field(min_length=1, max_length=32)]
 Number = Annotated[int, Field(ge=1, le=MAX_NUMBER)]
 
 
+Order = (
+    Literal["engage", "hand_over", "taken_over", "keep", "release", "goto"]
+    | Literal["gains", "record", "origin", "pieces", "start", "clock"]
+)
+
+
 class ContactParams(MethodParams):
     ground: RunId = Field(description="The run of the ground's daemon: another one begins with new numbers.")
     sysid: int = Field(ge=1, le=255, description="Of the ground's heartbeats, which count as contact, too.")
@@ -31,13 +37,13 @@ class RelayedParams(MethodParams):
 
 class RelayedOrderParams(RelayedParams):
     until_s: float = Field(description="Carried out only if it comes by then, on the companion's clock (clock.read).")
-    order: Literal["engage", "release", "goto", "gains", "record", "origin", "pieces", "start", "clock"]
+    order: Order
     given: dict[str, Any] = Field(description="Arguments of the order; see docs/explanation/companion-control.md.")
 
 
 class RelayedSetpointParams(RelayedParams):
     at_s: float = Field(description="When it was given, on the companion's clock: it is moved on from then.")
-    valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(description="From its arrival on.")
+    valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(description="From its arrival on; a raw one from at_s on.")
     setpoint: dict[str, Any] = Field(description="Geodetic place and velocities along true ENU, or raw.")
 
 

@@ -11,11 +11,12 @@ import sys
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
 from skygcs.core.geo import Origin
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DEGREE
+from skygcs.core.trajectory.replicated_clock import ClockOrder, ClockOrderKind
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.errors import RefusedError
@@ -24,6 +25,9 @@ Json = dict[str, Any]
 
 LARGEST_NUMBER = 1e6
 """Largest number accepted in a setpoint."""
+
+LARGEST_SECONDS = 1e12
+"""Largest number accepted in a relayed order: seconds of a clock."""
 
 PIECES_A_PART = 200
 """Pieces sent in one call: 250 kB for the largest degree, a quarter of the longest line of the socket."""
@@ -137,6 +141,24 @@ class TrajectoryParts:
         return [piece for one in come for piece in one]
 
 
+def clock_order_json(order: ClockOrder) -> Json:
+    """Without its time, which differs on each clock; `clock_order_from` reads it with ``at_s``."""
+    return {"order": order.kind} | ({} if order.speed_factor is None else {"speed_factor": order.speed_factor})
+
+
+def clock_order_from(values: object) -> tuple[int, ClockOrder]:
+    """The order and its number. Raises RefusedError."""
+    if not isinstance(values, Mapping):
+        raise RefusedError("an order to a clock has number, order and at_s")
+    kinds: tuple[ClockOrderKind, ...] = get_args(ClockOrderKind)
+    kind = next((kind for kind in kinds if kind == values.get("order")), None)
+    number, speed_factor = values.get("number"), _number(values, "speed_factor")
+    at_s = _number(values, "at_s", LARGEST_SECONDS)
+    if kind is None or type(number) is not int or at_s is None or (kind == "speed") != (speed_factor is not None):
+        raise RefusedError(f"an order to a clock has number, at_s, order ({', '.join(kinds)}), speed_factor with speed")
+    return number, ClockOrder(kind, at_s, speed_factor)
+
+
 def origin_json(origin: Origin | None) -> Json | None:
     """The JSON that `origin_from` reads."""
     return None if origin is None else asdict(origin)
@@ -165,12 +187,12 @@ def _place(values: object) -> GeodeticPosition:
     return GeodeticPosition(lat_deg, lon_deg, alt_m)
 
 
-def _number(values: Mapping[str, Any], key: str) -> float | None:
+def _number(values: Mapping[str, Any], key: str, largest: float = LARGEST_NUMBER) -> float | None:
     value = values.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:  # or NaN
-        raise RefusedError(f"{key} is not a number of at most {LARGEST_NUMBER:g}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= largest:  # or NaN
+        raise RefusedError(f"{key} is not a number of at most {largest:g}")
     return float(value)
 
 

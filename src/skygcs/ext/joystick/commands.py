@@ -285,7 +285,8 @@ class JoystickFlight:
         """Return whether setpoints of velocity are flown now, and why not."""
         status = (await self._answer(self._gcs.call("control.status", targets=self._name)))[0]
         reasons = "; ".join(status["reasons"]) or f"control is {status['state']}"
-        return status["state"] == "flying" and status["mode"] != "raw", reasons
+        ours = status["state"] == "flying" and status["successor"] is None
+        return ours and status["mode"] != "raw", reasons
 
     async def _send(self, demand: StickDemand) -> None:
         """One setpoint. Refused: zero velocity instead, or the end if the vehicle is not flown by us any more."""

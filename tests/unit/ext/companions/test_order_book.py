@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from skygcs.core.protocols.command import Outcome
-from skygcs.ext.companions.order_book import MAX_KEPT, Fresh, Known, OrderBook, Refused
+from skygcs.ext.companions.order_book import MAX_KEPT, REPLACED, Fresh, Known, OrderBook, Refused
 from support.table import each
 
 DONE = Outcome(True, "accepted", "done")
@@ -38,6 +38,8 @@ def test_what_comes_too_late_or_after_a_newer_order_is_refused() -> None:
     refused = admit(of, 4)
     assert isinstance(refused, Refused) and "newer" in refused.why
     assert admit(of, 2, moves=False) == Fresh(), "gains move nothing"
+    assert of.admit("g1", "s1", 3, moves=True, in_turn=False, until_s=9.0, now=1.0) == Fresh()
+    assert of.newest_moving == 5
 
 
 def test_orders_of_another_session_or_ground_are_refused() -> None:
@@ -56,6 +58,20 @@ def test_another_ground_gets_it_only_after_a_silence() -> None:
     assert of.admit("g2", "s1", 1, moves=True, until_s=9.0, now=5.2) == Fresh()
     of.ended("g1", 7, DONE)  # what the first one began ends late: it is of nobody
     assert of.admit("g2", "s1", 7, moves=True, until_s=9.0, now=5.2) == Fresh()
+
+
+def test_of_setpoints_and_orders_that_move_the_vehicle_the_newest_counts() -> None:
+    of = book()
+    assert admit(of, 3) == Fresh()
+    found = [of.admit_setpoint("g1", "s1", number) for number in (2, 5, 4, 5, 7)]
+    assert found == [REPLACED, None, REPLACED, REPLACED, None]
+    assert admit(of, 9) == Fresh() and admit(of, 12, moves=False) == Fresh()
+    assert [of.admit_setpoint("g1", "s1", number) for number in (8, 10)] == [REPLACED, None]
+    for ground, session in (("g2", "s1"), ("g1", "s0")):
+        answered = of.admit_setpoint(ground, session, 20)
+        assert answered is not None and not answered.ok
+    assert of.contact("g2", 9.0) is None
+    assert of.admit_setpoint("g2", "s1", 1) is None, "another ground's numbers begin anew"
 
 
 def test_the_book_is_bounded_and_what_it_forgot_is_not_done_again() -> None:

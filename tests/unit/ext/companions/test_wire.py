@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.geo import Origin
 from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.core.trajectory.replicated_clock import ClockOrder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.errors import RefusedError
@@ -30,6 +31,9 @@ KEYS = (
     "yaw_enu_rad",
     "free_xy",
     "kind",
+    "number",
+    "order",
+    "at_s",
     "thrust",
     "attitude_ned_frd",
     "lat_deg",
@@ -121,6 +125,16 @@ def test_a_piece_that_is_none_is_refused(piece: object) -> None:
         wire.TrajectoryParts(2_000).take("a", 0, 1, [piece])
 
 
+@each("order", [ClockOrder("pause", 2e6), ClockOrder("speed", 3.5, 0.5)])
+def test_an_order_to_a_clock_comes_out_as_it_went_in(order: ClockOrder) -> None:
+    sent = json.loads(json.dumps({"number": 7, "at_s": order.at_s, **wire.clock_order_json(order)}))
+    assert wire.clock_order_from(sent) == (7, order)
+    wrong: tuple[dict[str, object], ...] = ({"number": True}, {"at_s": None}, {"order": ["pause"]})
+    for changes in (*wrong, {"speed_factor": 2.0 if order.speed_factor is None else None}):
+        with pytest.raises(RefusedError):
+            wire.clock_order_from({**sent, **changes})
+
+
 def test_an_origin_comes_out_as_it_went_in() -> None:
     origin = Origin(43.7, -79.4, 180.0, 30.0)
     assert wire.origin_from(json.loads(json.dumps(wire.origin_json(origin)))) == origin
@@ -129,7 +143,7 @@ def test_an_origin_comes_out_as_it_went_in() -> None:
 
 @given(st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=6), ANYTHING, max_size=8))
 def test_whatever_comes_is_refused_or_finite(values: dict[str, object]) -> None:
-    for read in (wire.setpoint_from, wire.raw_from, wire.origin_from):
+    for read in (wire.setpoint_from, wire.raw_from, wire.origin_from, wire.clock_order_from):
         try:
             found = read(values)
         except RefusedError:
