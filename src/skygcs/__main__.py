@@ -5,9 +5,12 @@ import signal
 import sys
 from collections.abc import Iterator
 
+from skygcs.descriptors import hold_standard
+
 
 def main() -> None:
     """Entry point of `skygcs`: the daemon's libraries are imported lean, before anything imports them whole."""
+    hold_standard()
     with _imports():
         if sys.argv[1:2] == ["run"]:
             from skygcs.cli.lean_imports import needs_tls, prepare_daemon
@@ -20,6 +23,7 @@ def main() -> None:
 
 def cli() -> None:
     """Entry point of `skygcs-cli`."""
+    hold_standard()
     with _imports():
         from skygcs.cli.main import main as run
 

@@ -10,12 +10,16 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
+import sys
 
 WANTED = 4096
 """A full daemon: 255 TCP clients, each with an epoll of its own, 192 sessions, links, files."""
 
 DESCRIPTORS_KEPT = 24
 """File descriptors kept free for the next clients on this computer, and for files that are opened for a moment."""
+
+STANDARD = {"stdin": "r", "stdout": "w", "stderr": "w"}
+"""Streams of `sys` on the descriptors 0, 1 and 2, with their modes."""
 
 
 def raise_limit() -> None:
@@ -34,13 +38,16 @@ def is_of_the_last(descriptor: int) -> bool:
 
 
 def hold_standard() -> None:
-    """Open /dev/null as each of the descriptors 0 to 2 that this process was begun without.
+    """Open /dev/null as each of the descriptors 0 to 2 that this process was begun without, and as its stream.
 
     Else the next socket or file becomes stdin, stdout or stderr: what is printed goes into it, and libuv ends the
-    process when it closes it (uv__close: fd > STDERR_FILENO).
+    process when it closes it (uv__close: fd > STDERR_FILENO). Without the stream, which is None then, whatever asks for
+    the terminal's width before it sends an order fails.
     """
-    for number in range(3):
+    for number, (name, mode) in enumerate(STANDARD.items()):
         try:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the system gives the lowest number that is free: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))

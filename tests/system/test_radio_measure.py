@@ -75,7 +75,7 @@ def test_altered_timing_is_written_and_a_second_air_speed_is_added(tmp_path: Pat
     assert not any(radio.command_mode for radio in pair.radios)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_writes_nothing(tmp_path: Path, bench: Bench, how: signal.Signals) -> None:
     pair, a, b = bench
     work = begun(tmp_path, a, b, "--seconds", "60", "-o", str(tmp_path / "t.toml"))

@@ -83,7 +83,7 @@ def test_antennas_are_shown_set_and_provisioned(tmp_path: Path) -> None:
         assert (entry["value"], entry["meaning"]) == (3, "sends by 1, receives by 2")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_came(
     tmp_path: Path, how: signal.Signals
 ) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+
+import pytest
 
 PROGRAM = """
 import os, resource
@@ -38,3 +41,12 @@ print(os.open(os.devnull, os.O_RDONLY))
 """
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(ran.stdout) > 2
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&- <&-"])
+def test_an_order_needs_no_standard_stream(closed: str) -> None:
+    """A cron job that closes its output still lands. 3: it found no daemon, so it has tried."""
+    python = "import sys; from skygcs.__main__ import cli; sys.argv[1:] = ['land', 'all']; cli()"
+    line = ["/bin/sh", "-c", f'exec "$@" {closed}', "sh", sys.executable, "-c", python]
+    ran = subprocess.run(line, check=False, capture_output=True, env={**os.environ, "SKYGCS_SOCKET": "/nowhere"})
+    assert ran.returncode == 3

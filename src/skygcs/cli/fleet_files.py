@@ -14,7 +14,7 @@ from skygcs.cli.render import table
 from skygcs.config.checks import endpoint_text, link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
 from skygcs.config.extension_tables import TableOwner, find_owners
-from skygcs.config.files import read_named
+from skygcs.config.files import read_named, write_named
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
     FleetConfig,
@@ -158,8 +158,7 @@ def import_router_file(file: Path, output: Path | None, *, force: bool) -> int:
         sys.stdout.write(imported.text)
     else:
         try:
-            with open(output, "w" if force else "x", encoding="utf-8") as target:
-                target.write(imported.text)
+            write_named(output, imported.text, force=force)
         except FileExistsError:
             raise ConfigError(str(output), ["exists; --force overwrites it"]) from None
         except OSError as error:
@@ -214,8 +213,7 @@ def _write_new(path: Path, text: str, *, force: bool) -> None:
     """Raises ConfigError, also for a file that is there unless ``force``."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w" if force else "x", encoding="utf-8") as file:
-            file.write(text)
+        write_named(path, text, force=force)
     except FileExistsError:
         raise ConfigError(str(path), ["exists already; --force overwrites it"]) from None
     except OSError as error:

@@ -34,7 +34,7 @@ from skygcs.cli.options import Json, OneVehicle, OptionalTargets, OrderJson, Tar
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import finite, parse_number
 from skygcs.cli.render import event_line, plural, print_json, say
-from skygcs.config.files import read_named
+from skygcs.config.files import read_named, write_named
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped, same_start
@@ -221,8 +221,7 @@ def _convert_file(file: Path, out: Path, only: MissionType | None, family: Famil
         imported, changes = replace(imported, plan=replace(imported.plan, mission=converted.items)), converted.changes
     text = write_plan(imported.plan, str(out), only)
     try:
-        with open(out, "w" if force else "x", encoding="utf-8") as target:
-            target.write(text)
+        write_named(out, text, force=force)
     except FileExistsError:
         raise PlanFileError(str(out), "", "exists; --force overwrites it") from None
     for note in imported.notes:
@@ -603,7 +602,7 @@ def _write(file: Path, plan: str | None, lists: list[str]) -> None:
         raise PlanFileError(str(file), "", "the plan has rally points above sea level, which no .plan file can hold")
     only = MissionType[lists[0].upper()] if len(lists) == 1 else None
     text = write_plan(read_plan(plan.encode(), "the vehicle's plan").plan, str(file), only)
-    file.write_text(text, encoding="utf-8")
+    write_named(file, text)
     say(f"written to {file}", err=True)
 
 

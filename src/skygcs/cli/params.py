@@ -19,7 +19,7 @@ from skygcs.cli.options import Json, OneVehicle, OrderJson, Targets
 from skygcs.cli.order_output import JsonForm
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
 from skygcs.cli.render import plural, print_json, print_lines, say
-from skygcs.config.files import read_named, write_whole
+from skygcs.config.files import read_named, write_named
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float, value_text
 from skygcs.core.params.compare import ApplyPlan, Difference, ParamChange, diff, plan
 from skygcs.core.params.metadata import ParamMetadata
@@ -528,12 +528,12 @@ def read_file(path: Path) -> ParamFile:
 
 
 def write_file(path: Path, held: HeldParams, kind: Kind, state: Mapping[str, Any]) -> None:
-    """Write the file completely or not at all. ``state``: of the vehicle, for the header."""
+    """Write the file whole. ``state``: of the vehicle, for the header."""
     about = {"Stack": STACKS.get(held.autopilot, held.autopilot), "Vehicle": str(state.get("type", "unknown"))}
     if state.get("firmware"):
         about["Version"] = str(state["firmware"])
     file = of_vehicle(held.params, kind, sysid=held.sysid, compid=held.compid, about=about)
-    write_whole(path, write(file).encode(), 0o644)
+    write_named(path, write(file))
 
 
 # --- lines ------------------------------------------------------------------------------------------------------------

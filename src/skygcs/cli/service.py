@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from skygcs.config.files import make_log_folder
+from skygcs.config.files import make_log_folder, write_named
 from skygcs.errors import ConfigError, SkygcsError
 
 NAME = "skygcs.service"
@@ -217,7 +217,7 @@ def _write(path: Path, text: str, *, force: bool) -> None:
         raise SkygcsError(f"{path} exists and differs; --force overwrites it")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_named(path, text)
     except OSError as error:
         raise SkygcsError(f"{path}: {error.strerror or error}; sudo, or --user for a service of your own") from None
     print(f"wrote {path}")

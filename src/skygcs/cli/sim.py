@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.param_sets import load_param_set
 from skygcs.config.radio import EmulatedRadio, EmulatedXBees
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import LinkError
 from skygcs.links.simulated import emulated
 from skygcs.sim import protocol as m
@@ -241,7 +241,7 @@ def describe(vehicle: SimVehicle) -> str:
 async def _serve(ports: Sequence[SimPort], clock: SimClock, speedup: float) -> int:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, stop.set)
     clock.start()
     try:

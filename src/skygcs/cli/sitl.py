@@ -31,6 +31,7 @@ from skygcs.config.firmware import PROGRAMS, ArduPilot, Px4, find_ardupilot, fin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.param_file import parse
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import ConfigError, LinkError
 from skygcs.sim.sitl import (
     KINDS,
@@ -233,7 +234,7 @@ class _Sitl:
 
     async def serve(self) -> int:
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in ending_signals():
             loop.add_signal_handler(number, self._stop.set)
         try:
             listener, _ = await loop.create_datagram_endpoint(

@@ -53,6 +53,25 @@ def read_named(path: Path) -> bytes:
     return content
 
 
+def write_named(path: Path, content: str | bytes, *, force: bool = True) -> None:
+    """Write a file that a person names for a command: whole, or what was there stays. A pipe or a device, as
+    /dev/stdout, is written to.
+
+    Raises OSError with the path, FileExistsError for a file that is there unless ``force``.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+            return
+        if path.exists() and not force:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        os.umask(umask := os.umask(0o077))
+        write_whole(path.resolve(), data, stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~umask)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 LOG_MODE = 0o640
 """Mode of a file that the daemon writes into a log folder: its owner's, and its group may read it. A umask takes more
 away, never gives more."""

@@ -21,7 +21,7 @@ from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError, explain_address_error
 
 MAX_CONNECTIONS = 8
-"""Scrapers at one time; a further connection is closed at once."""
+"""Scrapers at one time; the oldest that has not sent its request gives way to a further one, else the oldest."""
 
 MAX_REQUEST_BYTES = 8192
 """Request line and headers; Prometheus sends some 300 bytes."""
@@ -63,7 +63,9 @@ class MetricsEndpoint:
         self._listener: socket.socket | None = None
         self._server: asyncio.Server | None = None
         self._collector: Renders | None = None
-        self._clients: set[asyncio.Task[None]] = set()
+        self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+        self._asked: set[asyncio.Task[None]] = set()
+        """Clients whose request has come."""
         self._rendering = asyncio.Lock()
         self._answer = b""
         self._answered_at = float("-inf")
@@ -115,12 +117,22 @@ class MetricsEndpoint:
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         descriptor = writer.get_extra_info("socket").fileno()
-        if self._server is None or len(self._clients) >= MAX_CONNECTIONS or is_of_the_last(descriptor):
+        if self._server is None or is_of_the_last(descriptor):
             writer.transport.abort()
             return
+        if len(self._clients) >= MAX_CONNECTIONS:
+            oldest = next((client for client in self._clients if client not in self._asked), next(iter(self._clients)))
+            oldest.cancel()
+            self._forget(oldest)
         task = asyncio.get_running_loop().create_task(self._serve(reader, writer), name="metrics client")
-        self._clients.add(task)
-        task.add_done_callback(self._clients.discard)
+        self._clients[task] = writer
+        task.add_done_callback(self._forget)
+
+    def _forget(self, client: asyncio.Task[None]) -> None:
+        """Close the connection of a client that is served, or is not to be: one that was not begun closes nothing."""
+        self._asked.discard(client)
+        if (writer := self._clients.pop(client, None)) is not None:
+            writer.transport.abort()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One request, one answer; a client that is slow or breaks off loses its connection."""
@@ -131,6 +143,8 @@ class MetricsEndpoint:
             except asyncio.LimitOverrunError:
                 response = _response("431 Request Header Fields Too Large", b"the request is too long\n")
             else:
+                if (task := asyncio.current_task()) in self._clients:
+                    self._asked.add(task)
                 response = await self._respond(request)
             async with asyncio.timeout(ANSWER_S):
                 writer.write(response)
@@ -139,8 +153,6 @@ class MetricsEndpoint:
                 await writer.wait_closed()
         except (TimeoutError, OSError, asyncio.IncompleteReadError):
             pass  # the client's loss; it may come again
-        finally:
-            writer.transport.abort()
 
     async def _respond(self, request: bytes) -> bytes:
         line, _, headers = request.partition(b"\r\n")

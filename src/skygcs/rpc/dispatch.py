@@ -370,7 +370,7 @@ class Dispatcher(Generic[C]):
         except asyncio.CancelledError:
             end_if_cancelled()  # its client is gone, or the daemon ends
             # what it waited for was cancelled by something else: the client is there and waits for an answer
-            cancelled = RefusedError(f"{method.name} was cancelled: a vehicle of it is gone or renumbered; ask again")
+            cancelled = RefusedError(f"{method.name} was cancelled: skygcs ends, or a vehicle of it is gone")
             return b"" if notification else failure_reply(request_id, method.name, cancelled)
         except Exception as error:
             return b"" if notification else failure_reply(request_id, method.name, error)

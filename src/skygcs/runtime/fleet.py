@@ -601,7 +601,7 @@ class Fleet:
         return [(text, c.compid) for c in self.components.of_system(key >> 8) for text in c.component.texts]
 
     def _has_place(self, sysid: int, link: str) -> bool:
-        """True if there is room for a new vehicle; if necessary the vehicle that was lost first is removed."""
+        """True if there is room for a new vehicle; if necessary one that is lost is removed."""
         if sysid in self._configs and not any(key >> 8 == sysid for key in self.vehicles):
             return True
         unnamed = [key for key in self.vehicles if key >> 8 not in self._configs]
@@ -611,11 +611,13 @@ class Fleet:
         return len(self.vehicles) < MAX_VEHICLES or self._drop_lost(unnamed)
 
     def _drop_lost(self, keys: list[int]) -> bool:
-        """Forget one lost vehicle of these, a disarmed one before an armed one. False if all are heard, or may fly."""
+        """Forget one lost vehicle of these: a disarmed one before an armed one, and that which is silent for longest.
+        So a vehicle that fades for a moment outlasts strangers that come and go. False if all are heard, or may fly."""
         lost = [key for key in keys if not self.vehicles[key].vehicle.connected and not self.may_fly(key)]
         if not lost:
             return False
-        actor = self._drop(min(lost, key=lambda key: bool(self.vehicles[key].vehicle.armed)))
+        now, found = self._loop.time(), {key: self.vehicles[key].vehicle for key in lost}
+        actor = self._drop(max(lost, key=lambda key: (not found[key].armed, found[key].silence_s(now) or 0.0)))
         text = f"{actor.name}, which is lost, is forgotten to make room for another of {MAX_VEHICLES} vehicles"
         self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"forgotten": True}))
         return True

@@ -8,7 +8,6 @@ import gc
 import json
 import os
 import secrets
-import signal
 import socket
 import ssl
 import sys
@@ -28,6 +27,7 @@ from skygcs.config.extension_tables import installed_points
 from skygcs.config.files import boot_id, boot_s
 from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import LinkError, RpcError, SkygcsError
 from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import INVALID_PARAMS
@@ -275,7 +275,7 @@ async def serve_web(options: WebOptions) -> None:
     """Run the process until SIGINT or SIGTERM."""
     web = WebProcess(options)
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, web.stop)
 
     if options.supervised:

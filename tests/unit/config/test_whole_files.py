@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
 
-from skygcs.config.files import write_whole
+from skygcs.config.files import write_named, write_whole
+from support.process import ROOT
 from support.table import each
 
 
@@ -59,3 +61,48 @@ def test_a_cache_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = tmp_path / "cache.json"
     write_whole(path, b"{}", 0o600, durable=False)
     assert path.read_bytes() == b"{}"
+
+
+def test_what_a_person_names_is_whole_or_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a list of waypoints is a valid, shorter mission."""
+    real, named = tmp_path / "m.waypoints", tmp_path / "link"
+    named.symlink_to(real)
+    write_named(named, "a mission")
+    real.chmod(0o664)
+    with pytest.raises(FileExistsError, match=r"link"):
+        write_named(named, "another", force=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: os.write(9_999, b""))
+        with pytest.raises(OSError, match="link"):
+            write_named(named, "another")
+    assert (real.read_text(), len(os.listdir(tmp_path))) == ("a mission", 2)
+    write_named(named, b"another")
+    assert (real.read_text(), real.stat().st_mode & 0o777, named.is_symlink()) == ("another", 0o664, True)
+
+
+def test_a_device_and_a_pipe_are_written_to(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    for path in (Path(f"/dev/fd/{writer}"), Path(os.devnull)):
+        write_named(path, "a mission", force=False)
+    assert os.read(reader, 100) == b"a mission" and not Path(os.devnull).is_file()
+    os.close(reader)
+    os.close(writer)
+
+
+OF_NO_PERSON = {
+    "cli/fleet_files.py": 1,  # a temporary folder's
+    "cli/sitl.py": 2,  # working folders of firmware
+    "ext/companions/bring_up/bundle.py": 1,  # a draft
+    "ext/companions/bring_up/companion_file.py": 1,  # a temporary folder's
+    "ext/ros/commands.py": 1,  # a new folder's
+}
+"""Files that commands write otherwise, and how many times."""
+
+
+def test_commands_write_what_a_person_names_in_one_way() -> None:
+    source, found = ROOT / "src/skygcs", {}
+    for path in sorted([*source.glob("cli/*.py"), *source.glob("ext/**/*.py")]):
+        ways = re.findall(r"\.write_text\(|\bopen\([^)\n]*\"[wx]\"", path.read_text())
+        if ways:
+            found[str(path.relative_to(source))] = len(ways)
+    assert found == OF_NO_PERSON

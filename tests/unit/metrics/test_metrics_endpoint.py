@@ -136,6 +136,17 @@ async def test_slow_clients_lose_their_connection_and_take_nobody_s_place_for_lo
         assert (await bench.ask(get()))[0].startswith(b"HTTP/1.1 200")
 
 
+@pytest.mark.parametrize("sent", [b"", b"GET /met"])
+async def test_clients_that_never_ask_keep_no_scraper_out(sent: bytes) -> None:
+    async with running() as bench:
+        idle = [await bench.connect() for _ in range(5 * MAX_CONNECTIONS)]
+        for _, writer in idle:
+            writer.write(sent)
+        assert (await bench.ask(get()))[0].startswith(b"HTTP/1.1 200")
+        for _, writer in idle:
+            writer.transport.abort()
+
+
 async def test_a_client_that_breaks_off_costs_nothing() -> None:
     async with running() as bench:
         for data in (b"", b"GET /metrics HTTP/1.1\r\n", get()):

@@ -345,6 +345,18 @@ async def test_a_lost_vehicle_gives_its_place_to_one_that_is_heard() -> None:
     assert [e.vehicle for e in listening.events if e.data.get("forgotten")] == ["v2"]
 
 
+async def test_a_vehicle_that_fades_for_a_moment_is_not_the_first_to_go() -> None:
+    listening = Listening()
+    for compid in (1, 2):
+        for sysid in range(1, 126):
+            listening.hear(Voice(sysid, compid).beat())
+    listening.hear(Voice(1).beat(), 50.0)
+    listening.fleet.tick(60.0)
+    for sysid in range(126, 254):
+        listening.hear(Voice(sysid).beat(), 60.0)
+    assert 1 << 8 | 1 in listening.fleet.vehicles, "it was heard last of those that are lost"
+
+
 @given(st.lists(st.binary(max_size=40), max_size=5))
 def test_noise_makes_no_vehicle(noise: list[bytes]) -> None:
     parser = FrameParser(flight_dialect())

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import signal
 import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skygcs.cli.process import EXIT_OK, configure_logging, run_loop
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import ConfigError, SkygcsError
 from skygcs.rpc.address import client_address, client_token
 
@@ -216,7 +216,7 @@ async def _serve_hub(hub: HubProcess) -> int:
 
     loop = asyncio.get_running_loop()
     stopping = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, stopping.set)
     hub.start()
     await asyncio.to_thread(hub.wait)

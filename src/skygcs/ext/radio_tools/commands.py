@@ -22,6 +22,7 @@ from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_pairs, parse_rates, within
 from skygcs.cli.render import print_json, print_lines, say
 from skygcs.cli.serial_ports import lent
+from skygcs.config.files import write_named
 from skygcs.errors import ConfigError, LinkError, RefusedError, SkygcsError
 from skygcs.ext.radio_tools.change import Ledger, Visit, change, look
 from skygcs.ext.radio_tools.measure_commands import measure
@@ -142,7 +143,7 @@ def backup(
         if file is None:
             say(text, nl=False)
         else:
-            file.write_text(text, encoding="utf-8")
+            write_named(file, text)
             say(f"{len(state.registers)} settings of {radio.name} -> {file}")
 
     run_offline(command)

@@ -23,6 +23,7 @@ import typer
 from skygcs.cli.connection import Exit
 from skygcs.cli.render import say
 from skygcs.cli.serial_ports import explain, port_rate
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import LinkError, RefusedError
 from skygcs.ext.radio_tools.change import Visit
 from skygcs.ext.radio_tools.dialogue import Dialogue, Procedure
@@ -35,6 +36,9 @@ from skygcs.sim.tdm import TdmConfig
 T = TypeVar("T")
 
 READ_BYTES = 4096
+
+_OF_NO_CTRL_C = frozenset({signal.SIGTERM, signal.SIGHUP})
+"""SIGINT cancels the program's task anyway."""
 
 
 class RadioPort:
@@ -57,13 +61,13 @@ class RadioPort:
     async def run(self, procedure: Procedure[T], visit: Visit) -> T:
         """Run a set-up procedure in real time. Raises what the procedure raises, and LinkError if the port fails.
 
-        If it is interrupted (Ctrl-C, SIGTERM), the visit's last command leaves the radio's command mode: a radio in
-        command mode carries no data until it is switched off and on.
+        If it is interrupted (Ctrl-C, SIGTERM, a closed terminal), the visit's last command leaves the radio's command
+        mode: a radio in command mode carries no data until it is switched off and on.
         """
         loop = asyncio.get_running_loop()
         readable = asyncio.Event()
         loop.add_reader(self._port.fileno(), readable.set)
-        terminated = _cancelled_by_sigterm(loop)
+        terminated = _cancelled_by_signals(loop)
         dialogue = None
         try:
             dialogue = Dialogue(procedure, loop.time())
@@ -90,7 +94,7 @@ class RadioPort:
                 raise KeyboardInterrupt from None  # as for Ctrl-C: the exit code says that it was interrupted
             raise
         finally:
-            loop.remove_signal_handler(signal.SIGTERM)
+            _leave_signals(loop)
             loop.remove_reader(self._port.fileno())
             if dialogue is None or not dialogue.done:
                 self._say_farewell(visit)
@@ -125,7 +129,7 @@ async def carry(ports: tuple[RadioPort, RadioPort], probe: LinkProbe) -> None:
     """Carry a probe's frames between both ports in real time until it is over. Raises LinkError if a port fails."""
     loop = asyncio.get_running_loop()
     readable = asyncio.Event()
-    terminated = _cancelled_by_sigterm(loop)
+    terminated = _cancelled_by_signals(loop)
     for port in ports:
         loop.add_reader(port._port.fileno(), readable.set)
     port = ports[0]
@@ -150,13 +154,13 @@ async def carry(ports: tuple[RadioPort, RadioPort], probe: LinkProbe) -> None:
             raise KeyboardInterrupt from None  # as for Ctrl-C: the exit code says that it was interrupted
         raise
     finally:
-        loop.remove_signal_handler(signal.SIGTERM)
+        _leave_signals(loop)
         for port in ports:
             loop.remove_reader(port._port.fileno())
 
 
-def _cancelled_by_sigterm(loop: asyncio.AbstractEventLoop) -> asyncio.Event:
-    """Make SIGTERM cancel the current task; the event is set when it did."""
+def _cancelled_by_signals(loop: asyncio.AbstractEventLoop) -> asyncio.Event:
+    """Make the signals that end a program cancel the current task, as Ctrl-C does; the event is set when one did."""
     terminated = asyncio.Event()
     task = asyncio.current_task()
     assert task is not None
@@ -166,8 +170,14 @@ def _cancelled_by_sigterm(loop: asyncio.AbstractEventLoop) -> asyncio.Event:
         task.cancel()
 
     with contextlib.suppress(ValueError, RuntimeError):  # not the main thread
-        loop.add_signal_handler(signal.SIGTERM, terminate)
+        for number in _OF_NO_CTRL_C.intersection(ending_signals()):
+            loop.add_signal_handler(number, terminate)
     return terminated
+
+
+def _leave_signals(loop: asyncio.AbstractEventLoop) -> None:
+    for number in _OF_NO_CTRL_C:
+        loop.remove_signal_handler(number)
 
 
 def _read_means_data(fd: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
-import signal
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import structlog
 from skygcs.back_off import BackOff
 from skygcs.cancellation import ended
 from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.ext.ros.bridge import Bridge
 from skygcs.ext.ros.config import RosConfig
@@ -74,7 +74,7 @@ async def serve_ros(options: Options) -> None:
     limit_memory(MOST_MEMORY_BYTES)
     loop = asyncio.get_running_loop()
     stopping = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, stopping.set)
     if options.supervised:
         loop.add_reader(sys.stdin, _on_input, loop, stopping)

@@ -10,7 +10,6 @@ import contextlib
 import gc
 import os
 import secrets
-import signal
 import socket
 import ssl
 import sys
@@ -23,6 +22,7 @@ from skygcs import __version__
 from skygcs.back_off import BackOff
 from skygcs.config.models import FleetConfig
 from skygcs.config.station_path import station_socket
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import ConfigError, SkygcsError
 from skygcs.events import Event
 from skygcs.ext.federation.bridge.bus import Bus, BusOptions
@@ -310,7 +310,7 @@ async def serve_federation(fleet: FleetConfig, options: FederationOptions) -> No
     """Run the process until SIGINT or SIGTERM."""
     process = FederationProcess(fleet, options)
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         loop.add_signal_handler(number, process.stop)
     if options.supervised:
         loop.add_reader(sys.stdin, _on_input, loop, process)

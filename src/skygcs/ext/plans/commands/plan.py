@@ -20,6 +20,7 @@ from skygcs.cli.connection import run, run_offline
 from skygcs.cli.options import Json, with_groups
 from skygcs.cli.plan_reading import read_files
 from skygcs.cli.render import console, print_json, say, table
+from skygcs.config.files import write_named
 from skygcs.core.geo import Origin
 from skygcs.core.plan.crazyswarm import write_crazyswarm
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, TimedPlan
@@ -196,12 +197,12 @@ def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits
         return ""
     suffix = output.suffix.lower()
     if suffix == ".json":
-        output.write_text(json.dumps(content) + "\n")
+        write_named(output, json.dumps(content) + "\n")
         return f"written to {output}"
     plan, _ = plan_from_json("the plan", content)
     trajectories = plan.trajectories if isinstance(plan, TimedPlan) else plan.trajectories(limits)
     if suffix == ".skyc":
-        output.write_bytes(write_skyc(trajectories))
+        write_named(output, write_skyc(trajectories))
     elif suffix:
         raise RefusedError(f"{output}: a plan is written as .json, .skyc, or into a folder as Crazyswarm CSV files")
     else:
@@ -210,7 +211,7 @@ def _write(output: Path | None, content: Mapping[str, Any], limits: MotionLimits
                 raise RefusedError(f"{name!r} cannot be the name of a file")
         output.mkdir(exist_ok=True)
         for name, trajectory in trajectories.items():
-            (output / f"{name}.csv").write_text(write_crazyswarm(trajectory))
+            write_named(output / f"{name}.csv", write_crazyswarm(trajectory))
     return f"written to {output}"
 
 
@@ -346,7 +347,7 @@ def _show(found: ReadPlan, limits: MotionLimits, output: Path | None, json_outpu
     # draw them
     if output is not None:
         text = draw_svg(trajectories) if output.suffix.lower() == ".svg" else draw_page(trajectories)
-        output.write_text(text)
+        write_named(output, text)
     # print the answer
     phases = [phase.name for phase in plan.phases] if isinstance(plan, PhasedPlan) else []
     if json_output:
