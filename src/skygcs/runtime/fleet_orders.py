@@ -27,7 +27,7 @@ from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.returns import Returns, Waiting, read_return_height
-from skygcs.runtime.separation_monitor import SeparationMonitor
+from skygcs.runtime.separation_monitor import Destination, SeparationMonitor
 from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
@@ -132,12 +132,12 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """An order to several as it is given: who does not get it, and why; each vehicle's own arguments, the places to
-    which they are sent, and how those return that are one of several."""
+    """An order to several as it is given: who does not get it, and why; each vehicle's own arguments, where they are
+    sent, and how those return that are one of several."""
 
     refusals: Mapping[Actor, str]
     own_arguments: Mapping[VehicleActor, Mapping[str, Any]]
-    places: Mapping[VehicleActor, tuple[float, float, float]]
+    sent: Mapping[VehicleActor, Destination]
     returning: Mapping[VehicleActor, Waiting]
 
 
@@ -295,7 +295,7 @@ class FleetOrders:
                 refusals[actor] = why
         # what each vehicle is to do: places of its own, or why it stays
         going = [actor for actor in vehicles if order is VehicleActor.goto and actor not in refusals]
-        own_arguments, staying, places = self._going(going, arguments) if going else ({}, {}, {})
+        own_arguments, staying, sent = self._going(going, arguments) if going else ({}, {}, {})
         if order is onboard_orders.upload_plan:
             own_arguments, staying = await self._arranged(vehicles, arguments)
         refusals.update(staying.items())
@@ -304,13 +304,13 @@ class FleetOrders:
         free = [actor for actor in vehicles if actor not in refusals]
         refusals.update((await self._mission_refusals(free, order, arguments)).items())
         refusals.update(self._late(order, {actor: asked[actor] for actor in free}).items())
-        return Decided(refusals, own_arguments, places, returning)
+        return Decided(refusals, own_arguments, sent, returning)
 
     async def _give(
         self, actors: list[Actor], given: Given, decided: Decided, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
         """Give the order as it was decided, and refuse it to those that do not get it."""
-        order, refusals, places = given.order, decided.refusals, decided.places
+        order, refusals = given.order, decided.refusals
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
         for actor, reason in refusals.items():
             given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
@@ -338,8 +338,8 @@ class FleetOrders:
         finally:
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
-            for actor in places:
-                self._monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
+            for actor, sent in decided.sent.items():
+                self._monitor.arriving(actor, sent, ok=actor in tasks and _succeeded(tasks[actor]))
         return {name: tasks[a].result() if a in tasks else given.outcomes[name] for a, name in names.items()}
 
     async def _guarded(
@@ -475,10 +475,8 @@ class FleetOrders:
 
     def _going(
         self, actors: list[VehicleActor], arguments: dict[str, Any]
-    ) -> tuple[
-        dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str], dict[VehicleActor, tuple[float, float, float]]
-    ]:
-        """Split a goto: the arguments of each vehicle's own, why some stay, and the places of those that go.
+    ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str], dict[VehicleActor, Destination]]:
+        """Split a goto: the arguments of each vehicle's own, why some stay, and where those go that do.
 
         One that would come too close to a vehicle that is not sent with it stays, unless ``force``, and is in the way
         of the others then. ``together``: vehicles that the caller keeps apart from these itself.
@@ -495,18 +493,16 @@ class FleetOrders:
                 continue  # the order itself says why
             places[actor] = (to.lat_deg, to.lon_deg, to.alt_amsl_m)
         # each that stays is one more in the way of those that go
-        stays: dict[VehicleActor, str] = {}
-        while not arguments.get("force"):
+        stayed: frozenset[int] | None = None
+        while not arguments.get("force") and (stayed is None or stayed):
             keys = apart | {actor.vehicle.key for actor in places}
-            why = {actor: self._monitor.goto_refusal(actor.vehicle, place, keys) for actor, place in places.items()}
-            stays = {actor: reason for actor, reason in why.items() if reason is not None}
-            if not stays:
-                break
+            refusals = {a: self._monitor.goto_refusal(a.vehicle, to, keys, only=stayed) for a, to in places.items()}
+            stays = {actor: why for actor, why in refusals.items() if why is not None}
             staying |= stays
             places = {actor: place for actor, place in places.items() if actor not in stays}
-        for actor, place in places.items():
-            self._monitor.sent_to(actor, place)
-        return own_arguments, staying, places
+            stayed = frozenset(actor.vehicle.key for actor in stays)
+        sent = {actor: self._monitor.sent_to(actor, place) for actor, place in places.items()}
+        return own_arguments, staying, sent
 
     def _formation(
         self, actors: list[VehicleActor], arguments: dict[str, Any]

@@ -73,6 +73,9 @@ PAUSE_S = 1.0
 MEASURED_PINGS = 4
 """Pings of the burst in the first second, after which the measured round trip is used."""
 
+HAND_OVER_S = 15.0
+"""The longest wait of an engagement for an order in progress, which is repeated for 7 s at most and then proved."""
+
 LOOK_S = 0.5
 """Between two looks whether an order in progress has ended, if nothing is heard of the vehicle meanwhile."""
 
@@ -148,6 +151,8 @@ class OffboardEngagement:
         """Why control ends as soon as the order that takes over has taken effect; None: no order takes over."""
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
+        self._releases = 0
+        """Calls of `release`."""
         self._entering = 0
         """Calls of `engage` in progress."""
 
@@ -183,11 +188,14 @@ class OffboardEngagement:
     async def _engage(self, control_mode: ControlMode, *, force: bool) -> Outcome:
         started = self._loop.time()
         try:
-            # an order that takes over has an end before, and a later one is not overtaken
+            # an order that takes over has an end before; what came since, from whomever, is not overtaken
+            releases, before = self._releases, self._orders.hands()
             await self._mode_of_its_own()
             await self._handed_over()
-            if await self._orders.late("control") is not None:
+            if await self._orders.late("control") is not None or self._releases != releases:
                 return _superseded(self._loop.time() - started)
+            if (why := self._orders.pilot_since("control", before)) is not None:
+                raise RefusedError(why)
             # checks
             turn = self._turn
             back_to = offboard_entry.settled_mode(self._vehicle)  # what is switched from here on is switched by others
@@ -227,7 +235,11 @@ class OffboardEngagement:
         return replace(outcome, elapsed_s=self._loop.time() - started)
 
     def release(self, reason: str) -> None:
-        """Send nothing from now on. Idempotent."""
+        """Send nothing from now on, and begin nothing that was asked for before. Idempotent."""
+        self._releases += 1
+        self._end(reason)
+
+    def _end(self, reason: str) -> None:
         self._next_turn()
         self.successor = None
         self._apply(self.controller.release(reason))
@@ -246,14 +258,14 @@ class OffboardEngagement:
     def taken_over(self) -> None:
         """The order has taken effect: control ends. Idempotent."""
         if self.successor is not None:
-            self.release(self.successor)
+            self._end(self.successor)
 
     def keep(self, why: str) -> None:
         """The order has not taken effect: go on holding. Idempotent."""
         if self.successor is None:
             return
         if self.controller.state is OffboardState.ENGAGING:
-            self.release(self.successor)  # who engaged it was told that it ended: the unattended vehicle is held
+            self._end(self.successor)  # who engaged it was told that it ended: the unattended vehicle is held
             return
         text = f"control goes on, it holds its position: {self.successor}, but {why}"
         self.successor = None
@@ -443,8 +455,12 @@ class OffboardEngagement:
             await self._commands.until(lambda: not self._conditions.shows_ours(self._loop.time()), OURS_S)
 
     async def _handed_over(self) -> None:
-        """Wait until the order that takes over has an outcome: it took effect, or it did not."""
+        """Wait until the order that takes over has an outcome: it took effect, or it did not. Raises RefusedError if it
+        has none."""
+        ends_at = self._loop.time() + HAND_OVER_S
         while self.successor is not None:
+            if self._loop.time() >= ends_at:
+                raise RefusedError(f"another order takes over: {self.successor}; it has had no outcome yet")
             await self._commands.until(lambda: self.successor is None, LOOK_S)
 
     def _warn_of_loss(self) -> None:
@@ -595,6 +611,7 @@ class OffboardEngagement:
     def _apply(self, tick: Tick) -> None:
         """Trace a tick, publish its events, and end what control needs if control has ended."""
         self._trace.write(tick)
+        taken_over = self.successor is not None
         if not self.controller.active and self.clock.running:
             self.clock.stop()
             self.successor = None
@@ -605,7 +622,7 @@ class OffboardEngagement:
             self._streams.restore()
         for event in tick.events:
             self._on_event(event)
-        if tick.hold:
+        if tick.hold and not taken_over:  # a hold would be the newer order, and end a return or a landing
             self._tasks.start(self._hold(self._turn), "hold", OWN)
         elif tick.left:
             self._tasks.start(self._hold_if_it_follows(self._turn), "hold if it follows", OWN)
@@ -623,7 +640,11 @@ class OffboardEngagement:
         outcome = await self._orders.attempt_in_control(lambda now: orders.hold(self._vehicle, now))
         self.on_hold(outcome)
         if not outcome.ok:
-            then = "whether it does is not known" if outcome.result in UNHEARD else "its own failsafe has to act"
+            then = (
+                "whether it does is not known"
+                if outcome.result in UNHEARD
+                else "its own failsafe or its pilot has to act"
+            )
             text = f"it was ordered to hold, but: {outcome.message}; {then}"
             self._publish("control", text, {"state": "held"})
 

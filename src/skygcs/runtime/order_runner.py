@@ -185,7 +185,8 @@ class OrderRunner:
         ours = self.ledger.number != asked.number or self._vehicle.failsafe
         return None if ours else self._switched(asked)
 
-    def _hands(self) -> Hands:
+    def hands(self) -> Hands:
+        """Whose hands the vehicle is in now."""
         return hands(self._vehicle, self._loop.time())
 
     def _taken(self, plan: Plan, before: Hands, *, asked_now: bool) -> str | None:
@@ -197,12 +198,12 @@ class OrderRunner:
             return why
         if plan.emergency or plan.final or (plan.order in EVERYWHERE and asked_now):
             return None
-        return self._pilot_since(plan.order, before)
+        return self.pilot_since(plan.order, before)
 
     def _taken_in(self, run: _PlanInProgress) -> str | None:
         return self._taken(run.plan, run.were_in, asked_now=run.asked_now)
 
-    def _pilot_since(self, order: str, before: Hands) -> str | None:
+    def pilot_since(self, order: str, before: Hands) -> str | None:
         """`taken_since` of an order that moves the vehicle or arms it; a mode that the vehicle has accepted from us and
         that shows late is not its pilot's."""
         vehicle = self._vehicle
@@ -291,7 +292,7 @@ class OrderRunner:
         return await numbered(self._attempt(planner, reason))
 
     async def _attempt(self, planner: Planner, reason: str | None) -> Outcome:
-        before = self._hands()
+        before = self.hands()
         try:
             plan = planner(self._loop.time())
             if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
@@ -389,7 +390,7 @@ class OrderRunner:
         return None
 
     async def _execute(self, plan: Plan, clearance: Clearance) -> Outcome:
-        run = _PlanInProgress(plan, self.ledger.number, clearance, self._hands())
+        run = _PlanInProgress(plan, self.ledger.number, clearance, self.hands())
         if all(step.undo is None for step in plan.steps[:-1]):
             return await self._steps(run)
         if self._ending:
@@ -461,6 +462,8 @@ class OrderRunner:
             if not outcome.ok:
                 outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
+                if _arms(plan) and (why := disarmed_since(self._vehicle, run.were_in.at)) is not None:
+                    outcome, message = replace(outcome, result="refused"), f"{message}; {why}"  # not tried again
                 if number == self.ledger.number:
                     message += await self._undo(done, run)
                 elapsed_s = self._loop.time() - started
@@ -708,11 +711,11 @@ class OrderRunner:
             clearance = clear_undo(model_of(self._vehicle, self._loop.time()), run.plan.order, undo)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return await self._step(undo, run.plan, _PlanInProgress(run.plan, run.number, clearance, self._hands()))
+        return await self._step(undo, run.plan, _PlanInProgress(run.plan, run.number, clearance, self.hands()))
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """The attempts of `retry`."""
-        started, were_in = self._loop.time(), self._hands()
+        started, were_in = self._loop.time(), self.hands()
         attempts = 0
         while True:
             tried_at, before = self._loop.time(), self.ledger.number
@@ -737,7 +740,7 @@ class OrderRunner:
                 return replace(outcome, result="refused", message=f"refused: {why}")
             if order in ARMING and self._armed_since(started):
                 return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
-            if (why := self._pilot_since(order, were_in)) is not None:
+            if (why := self.pilot_since(order, were_in)) is not None:
                 return replace(outcome, result="refused", message=f"refused: {why}")
 
     def _is_ambiguous(self, plan: Plan) -> bool:

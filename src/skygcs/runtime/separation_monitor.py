@@ -187,28 +187,37 @@ class SeparationMonitor:
 
     # -- orders
 
-    def sent_to(self, actor: VehicleActor, place: Place) -> None:
-        """It is ordered to fly to this place: for every later order it is on its way there."""
+    def sent_to(self, actor: VehicleActor, place: Place) -> Destination:
+        """It is ordered to fly to this place: for every later order it is on its way there. Give what is returned to
+        `arriving`."""
         key, moves = actor.vehicle.key, 0 if actor.offboard.flying else 1  # control only moves the reference
         known = self._destinations.get(key)
         before = known.before if known is not None and known.mode is None else known
-        self._destinations[key] = Destination(place, actor.order_number + moves, None, before)
+        sent = self._destinations[key] = Destination(place, actor.order_number + moves, None, before)
+        return sent
 
-    def arriving(self, actor: VehicleActor, *, ok: bool) -> None:
+    def arriving(self, actor: VehicleActor, sent: Destination, *, ok: bool) -> None:
         """The order of `sent_to` has ended: it flies there, or does not."""
-        known = self._destinations.pop(actor.vehicle.key, None)
-        if known is not None and ok and actor.runner.ledger.effective <= known.order_number:
-            self._destinations[actor.vehicle.key] = known._replace(mode=actor.vehicle.mode, before=None)
-        elif known is not None and not ok and known.before is not None:
-            self._destinations[actor.vehicle.key] = known.before
+        key = actor.vehicle.key
+        taken = ok and actor.runner.ledger.effective <= sent.order_number
+        now = sent._replace(mode=actor.vehicle.mode, before=None) if taken else None if ok else sent.before
+        known = self._destinations.get(key)
+        if known is sent:
+            del self._destinations[key]
+            if now is not None:
+                self._destinations[key] = now
+        elif known is not None and known.mode is None and now is not None:
+            self._destinations[key] = known._replace(before=now)  # a newer one is on its way
 
-    def goto_refusal(self, vehicle: Vehicle, to: Place, together: frozenset[int]) -> str | None:
+    def goto_refusal(
+        self, vehicle: Vehicle, to: Place, together: frozenset[int], *, only: frozenset[int] | None = None
+    ) -> str | None:
         """Why it should not be sent there now; None: nothing is in the way. ``together``: keys of vehicles that are
-        sent somewhere by the same order or program, which keeps them apart."""
+        sent somewhere by the same order or program, which keeps them apart. ``only``: look at these others only."""
         mover = self._mover(vehicle)
         if mover is None:
             return None
-        return self._refusal(goto_conflict(mover, to, self._others(together), self._loop.time()))
+        return self._refusal(goto_conflict(mover, to, self._others(together, only=only), self._loop.time()))
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
@@ -368,22 +377,27 @@ class SeparationMonitor:
             return None
         return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(self._loop.time()))
 
-    def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:
+    def _others(
+        self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
+    ) -> Iterator[Other]:
         """``sent``: for an order that goes on by itself, so where others were sent and who is lost counts, too."""
-        for key, track in self.monitor.tracks.tracks.items():
+        tracks, lost = self.monitor.tracks.tracks, self.monitor.tracks.lost
+        for key in tracks if only is None else only & tracks.keys():
             if key not in together:
-                yield from self._present(track, sent=sent)
-        for key, track in self.monitor.tracks.lost.items() if sent else ():
+                yield from self._present(tracks[key], sent=sent)
+        for key in (lost if only is None else only & lost.keys()) if sent else ():
             if key not in together and key in self._actors:
-                yield Other(track)
+                yield Other(lost[key])
 
     def _present(self, track: Track, *, sent: bool) -> Iterator[Other]:
         """A vehicle where it is, and where it was ``sent``, if it was. Only what is seen flying there has left its
         place: it may not have taken the order, or another station, or setpoints, may have moved it since."""
         destination, frame = self._destination(track.key) if sent else None, self.monitor.tracks.frame
         goal_m = None if destination is None or frame is None else frame.from_geodetic(*destination)
-        if goal_m is None or track.parked or track.lost or not is_bound_for(track, track.velocity_mps, goal_m):
+        if goal_m is None or track.parked or track.lost:
             yield Other(track)
+        elif not is_bound_for(track, track.velocity_mps, goal_m) and math.dist(track.place_m, goal_m) > track.circle_m:
+            yield Other(track, stays_yet=True)
         if destination is not None:
             yield Other(track, destination)
 

@@ -136,7 +136,7 @@ class UnattendedHolds:
         self._reported = outcome.message
         text = f"nobody flew it: {outcome.message}"
         if not outcome.ok and outcome.result not in UNHEARD:
-            text += "; it is ordered again, or land it: vehicles.land"
+            text += "; it is ordered again while nobody flies it, or land it: vehicles.land"
         self._publish(text, {"hold": outcome.ok})
 
     def _publish(self, text: str, data: dict[str, object]) -> None:

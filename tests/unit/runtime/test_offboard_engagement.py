@@ -113,6 +113,8 @@ class Field:
             attempt_in_control=self.attempt,
             asked=lambda: None,
             late=self.never_late,
+            hands=lambda: None,
+            pilot_since=lambda order, before: None,  # tests/integration/test_control_handed_over.py
             taken_by_pilot=lambda asked: None,  # tests/integration/test_orders_as_they_come.py
         )
         self.runner = runner

@@ -130,7 +130,7 @@ async def test_a_hold_that_is_denied_is_given_again_and_reported_once() -> None:
     rig.outcomes = [Outcome(False, "denied", "denied")] * 3 + [Outcome(False, "cancelled", "a newer order")]
     assert len(await rig.run(GRACE_S + 3 * REPEAT_S + 0.4)) == 4
     said = rig.texts()
-    assert said[1:] == ["nobody flew it: denied; it is ordered again, or land it: vehicles.land"]
+    assert said[1:] == ["nobody flew it: denied; it is ordered again while nobody flies it, or land it: vehicles.land"]
     await rig.run(REPEAT_S)
     assert rig.texts()[2:] == ["nobody flew it: holding"]
 

@@ -61,6 +61,8 @@ class Other(NamedTuple):
 
     track: Track
     destination: Place | None = None
+    stays_yet: bool = False
+    """It was sent elsewhere, and is not seen flying there."""
 
 
 class _Path(NamedTuple):
@@ -177,7 +179,7 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         if not path.strict and now_m < radius_m and near.separation_m > now_m - NEARER_M:
             continue
         if worst is None or near.separation_m < worst[0]:
-            worst = (near.separation_m, _text(mover, track, near.separation_m, radius_m, silence_s))
+            worst = (near.separation_m, _text(mover, other, near.separation_m, radius_m, silence_s))
     return None if worst is None else worst[1]
 
 
@@ -202,10 +204,13 @@ def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tup
     return here, (Piece(math.inf, (u, v, w)),), horizon_s if path.ahead_s == 0.0 else min(horizon_s, HORIZON_S)
 
 
-def _text(mover: Mover, track: Track, separation: float, radius_m: float, age_s: float) -> str:
+def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s: float) -> str:
+    track = other.track
     ratio = pair_margin(mover.footprint, track.footprint).downwash_ratio
     moves = "in the air" if track.vehicle.abilities.flies else "under way"
     where = "parked" if track.parked else "lost in the air" if track.lost else moves
+    if other.stays_yet:
+        where += ", and not seen yet to fly where it was sent"
     old = f", whose position is {age_s:.1f} s old" if age_s > OLD_S else ""
     return (
         f"{mover.name} would come {separation:.1f} m near {track.name} ({where}){old}; they need {radius_m:.1f} m, "

@@ -121,11 +121,16 @@ def taken_since(vehicle: Vehicle, now: float, before: Hands) -> str | None:
     another mode that is flown by sticks, or armed it in one, since. None: he has not. In failsafe, and without sticks
     that are seen with the throttle up, its own failsafe has switched it, and it sinks."""
     mode, armed = hands(vehicle, now).stick_mode, vehicle.armed
-    if not mode or (vehicle.failsafe and model_of(vehicle, now).sticks not in SEEN_AT_ALL):
+    if not mode or failsafe_without_sticks(vehicle, now):
         return None
     if mode != before.stick_mode:
         return f"it was switched to {mode} since, which its pilot flies"
     return f"it was armed in {mode} since, which its pilot flies" if armed and not before.armed else None
+
+
+def failsafe_without_sticks(vehicle: Vehicle, now: float) -> bool:
+    """True if the mode in which it is may be that of its own failsafe, and nobody is seen to have sticks."""
+    return vehicle.failsafe and model_of(vehicle, now).sticks not in SEEN_AT_ALL
 
 
 def mode_name(model: VehicleModel, custom_mode: int) -> str:

@@ -174,15 +174,15 @@ class GotoGuidance:
     async def _goto(self, flight: PlanFlight, name: str, place_m: Vector) -> Outcome:
         """One order to fly to a place, to its outcome; the monitor knows of it."""
         actor = flight.actors[name]
-        if self._monitor is not None:
-            self._monitor.sent_to(actor, flight.frame.to_geodetic(*place_m))
+        place = flight.frame.to_geodetic(*place_m)
+        sent = None if self._monitor is None else self._monitor.sent_to(actor, place)
         ok = False
         try:
             outcome = await self._ours(name, actor, actor.goto(enu_m=place_m))
             ok = outcome.ok
         finally:
-            if self._monitor is not None:
-                self._monitor.arriving(actor, ok=ok)
+            if self._monitor is not None and sent is not None:
+                self._monitor.arriving(actor, sent, ok=ok)
         return outcome
 
     async def _hold(self, flight: PlanFlight, legs: GotoLegs, name: str) -> None:

@@ -18,6 +18,7 @@ from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle.autopilot import TAKEOFF_MODES
 from skygcs.core.vehicle.flight_lock import FlightLock
+from skygcs.core.vehicle.stick_modes import failsafe_without_sticks
 from skygcs.core.vehicle.takeoff_watch import TakeoffWatch
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -142,9 +143,9 @@ class PlanFlight:
         """Observations of the vehicles at the last tick, by name."""
         self.loaded = list(loaded)
         self.engaged: set[str] = set()
+        """Vehicles that follow this flight: under control, or with the first goto accepted."""
         self.landing: set[str] = set()
         """Those that it has ordered to land."""
-        """Vehicles that follow this flight: under control, or with the first goto accepted."""
         self.takeoffs: dict[str, TakeoffWatch] = {}
         self.being_taken: set[str] = set()
         """Vehicles whose take-off or control is ordered and not answered: the mode that they last reported is old."""
@@ -188,6 +189,7 @@ class PlanFlight:
             holds=vehicle.mode in HOLD_MODES,
             forgotten=not self.known(actor),
             unexpected_mode=self.unexpected_mode(name),
+            by_failsafe=failsafe_without_sticks(vehicle, now),
         )
 
     def unexpected_mode(self, name: str) -> str | None:

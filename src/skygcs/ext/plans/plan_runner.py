@@ -398,7 +398,7 @@ class PlanRunner:
         others = [
             name
             for name, sight in sights.items()
-            if not sight.on_ground and (sight.unexpected_mode or _stays_away(sight, execution.left.get(name)))
+            if not sight.on_ground and (sight.piloted or _stays_away(sight, execution.left.get(name)))
         ]
         # nobody flies, or a person insists: without a certificate
         flying = [name for name in execution.names if not sights[name].on_ground and name not in others]

@@ -659,11 +659,7 @@ class Execution:
         self.waits_for = tuple(n for names in self._rounds for n in names if not sights[n].on_ground)
         if not self._rounds:
             return []
-        gone = [
-            n
-            for n in self._rounds[0]
-            if not sights[n].on_ground and (sights[n].forgotten or n in self._unexpected_modes)
-        ]
+        gone = [n for n in self._rounds[0] if not sights[n].on_ground and (sights[n].forgotten or sights[n].piloted)]
         why = "was forgotten" if gone and sights[gone[0]].forgotten else "was taken by its pilot"
         if gone and len(self._rounds) > 1:
             return self._certify_anew(f"{_named(gone)} {why} while it landed", gone[0])
@@ -671,15 +667,15 @@ class Execution:
             if gone:
                 self._report(f"{_named(gone)} {why} while it landed", gone[0])
             del self._rounds[0]
-            return self._next_round()
+            return self._next_round([n for n in self.names if sights[n].piloted])
         return []
 
-    def _next_round(self) -> list[Order]:
+    def _next_round(self, piloted: Collection[str] = ()) -> list[Order]:
         if not self._rounds:
             self._started = False
             self._enter(PlanState.LANDED, "those that it landed are on the ground")
             return []
-        taken = [name for name in self._rounds[0] if name in self._unexpected_modes]
+        taken = [name for name in self._rounds[0] if name in piloted]
         if taken:
             return self._certify_anew(f"{_named(taken)} was taken by its pilot before it was to land", taken[0])
         self._report(f"{_named(self._rounds[0])} land" + ("s" if len(self._rounds[0]) == 1 else ""))

@@ -58,6 +58,13 @@ class Measurement(NamedTuple):
     unexpected_mode: str | None = None
     """The mode in which it is, if no order of a plan leads to that one and it is not under control: its pilot's, or of
     another program. It is never ordered to hold."""
+    by_failsafe: bool = False
+    """That mode may be of its own failsafe, as nobody is seen to have sticks: it is landed all the same."""
+
+    @property
+    def piloted(self) -> bool:
+        """True if somebody else flies it, and it is not to be landed."""
+        return self.unexpected_mode is not None and not self.by_failsafe
 
 
 class Pair(NamedTuple):
