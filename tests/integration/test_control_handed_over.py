@@ -14,6 +14,7 @@ from skygcs.ext.joystick.commands import JoystickFlight
 from skygcs.ext.joystick.stick_mapping import AxisChoice, StickAxes, StickLimits
 from skygcs.ext.joystick.stick_session import StickSession
 from skygcs.sim.conditions import conditions_of
+from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
@@ -194,3 +195,68 @@ async def test_an_entry_that_is_overtaken_leaves_the_rates_as_they_were(tmp_path
         assert not (await setting)["ok"]
         await asyncio.sleep(30.0)
         assert slot.rate_hz == pytest.approx(before_hz, rel=0.3)
+
+
+@KINDS
+@pytest.mark.parametrize("then", ["off", "authority_lost"])
+async def test_an_end_of_control_also_ends_the_control_that_waits(
+    tmp_path: Path, kind: dict[str, int], then: str
+) -> None:
+    """A PX4 shows the OFFBOARD of before, or a hold is under way: it was answered "control is off", and was flown."""
+    async with aloft(tmp_path, setpoints_end=False, **kind) as gcs:
+        await gcs.fly("velocity")
+        await asyncio.sleep(2.0)
+        gcs.loses = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"})
+        holding = asyncio.create_task(gcs.outcome("vehicles.hold"))
+        await asyncio.sleep(0.3)
+        setting = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        await asyncio.sleep(0.1)
+        if then == "off":
+            gcs.loses = frozenset()
+            await gcs.done("control.set", mode="off")
+        else:
+            gcs.actor().authority_lost("a test")
+        assert not (await setting)["ok"]
+        await holding
+        await asyncio.sleep(5.0)
+        assert gcs.control()["state"] == "off" and gcs.actor().vehicle.mode not in ("OFFBOARD",)
+
+
+@KINDS
+async def test_control_that_waits_is_not_begun_over_a_pilot(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with aloft(tmp_path, **kind) as gcs:
+        px4 = gcs.actor().vehicle.family == "px4"
+        await gcs.fly("velocity")
+        await asyncio.sleep(2.0)
+        gcs.loses = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"})
+        holding = asyncio.create_task(gcs.outcome("vehicles.mode", mode="AUTO.LOITER" if px4 else "BRAKE"))
+        await asyncio.sleep(0.5)
+        setting = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        await asyncio.sleep(0.2)
+        gcs.sim().mode = Px4Mode.POSCTL if px4 else CopterMode.LOITER  # by his transmitter
+        pilots = "POSCTL" if px4 else "LOITER"
+        await gcs.until(lambda: gcs.actor().vehicle.mode == pilots, 3.0)
+        gcs.loses = frozenset()
+        assert not (await setting)["ok"]
+        await holding
+        await asyncio.sleep(5.0)
+        assert gcs.actor().vehicle.mode == pilots
+
+
+@KINDS
+@pytest.mark.parametrize("order", ["rtl", "land"])
+async def test_the_hold_of_the_guard_takes_no_return_or_landing_back(
+    tmp_path: Path, kind: dict[str, int], order: str
+) -> None:
+    """The link was cut for 2 s meanwhile: the guard's hold was the newer order."""
+    async with aloft(tmp_path, **kind) as gcs:
+        await gcs.fly("velocity")
+        await asyncio.sleep(3.0)
+        gcs.cut = True
+        await asyncio.sleep(0.5)
+        ordered = asyncio.create_task(gcs.outcome(f"vehicles.{order}"))
+        await asyncio.sleep(2.0)
+        gcs.cut = False
+        assert (await ordered)["ok"]
+        await asyncio.sleep(3.0)
+        assert gcs.actor().vehicle.mode in ("AUTO.RTL", "RTL", "AUTO.LAND", "LAND")

@@ -291,3 +291,16 @@ async def test_one_that_does_not_go_with_the_others_is_in_their_way(tmp_path: Pa
         await asyncio.sleep(30.0)
         outcomes = (await gcs("vehicles.goto", targets="v1,v2", enu_m=[x, y, z], same_place=True))["outcomes"]
         assert refused_for(outcomes, "v1", "v2") and "lost in the air" in outcomes["v1"]["message"], outcomes
+
+
+async def test_a_goto_that_is_replaced_leaves_the_destination_of_the_newer_one(tmp_path: Path) -> None:
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        x, y, z = gcs.place("v1")
+        gcs.uplink_delay_s = 0.3
+        first = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=[x - 120.0, y, z]))
+        await asyncio.sleep(0.1)
+        second = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=[x, y - 120.0, z]))
+        await first
+        await second
+        outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=[x, y - 120.0, z]))["outcomes"]
+        assert refused_for(outcomes, "v2", "v1"), outcomes

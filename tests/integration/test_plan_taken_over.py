@@ -6,9 +6,11 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
+from skygcs.sim.firmware_modes import CopterMode
 from support.called import plans_of
 from support.examples import covered_by_other_flights
 from support.flown import Flown, flown
@@ -173,3 +175,20 @@ async def test_one_that_he_takes_before_its_round_is_not_landed(tmp_path: Path, 
         await asyncio.sleep(10.0)
         assert not gcs.actor("v1").vehicle.armed
         assert gcs.actor("v2").vehicle.mode == "LOITER" and gcs.place("v2")[2] > UP_M - 1.0
+
+
+@pytest.mark.parametrize("kind", [{"px4": 0, "ardupilot": 2}])
+async def test_a_landing_takes_along_one_that_its_failsafe_switched_to_sticks_that_nobody_has(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        starts = {name: gcs.place(name) for name in ("v1", "v2")}
+        await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
+        await gcs.until(lambda: state(gcs) == "finished", 120.0)
+        await asyncio.sleep(5.0)
+        gcs.sim("v2").mode = CopterMode.ALT_HOLD
+        await gcs.until(lambda: gcs.actor("v2").vehicle.mode == "ALT_HOLD", 10.0)
+        with mock.patch.object(type(gcs.actor("v2").vehicle), "failsafe", True):
+            await gcs("plan.land", force=True)
+            await gcs.until(lambda: state(gcs) == "landed", 120.0)
+        assert not any(sim.armed and sim.motion.up_m > 1.0 for sim in gcs.sims)

@@ -55,7 +55,9 @@ class Rig:
         self.ordered: list[str] = []
         self.outcomes: list[Outcome] = []
         self.orders: Any = SimpleNamespace(
-            moving=0, attempt=self._attempt("attempt"), attempt_in_control=self._attempt("in control")
+            ledger=SimpleNamespace(moving=0),
+            attempt=self._attempt("attempt"),
+            attempt_in_control=self._attempt("in control"),
         )
         self.events: list[Event] = []
         self.holds = UnattendedHolds(
@@ -116,7 +118,7 @@ async def test_one_that_nobody_flies_any_more_is_ordered_to_hold_once(elsewhere:
 async def test_who_may_fly_it_or_what_is_not_known_leaves_it_alone(changed: dict[str, Any], held: bool) -> None:
     rig = Rig()
     await rig.flown()
-    rig.orders.moving = changed.get("moving", 0)
+    rig.orders.ledger.moving = changed.get("moving", 0)
     rig.silent_s = changed.get("silent_s", 0.0)
     rig.vehicle.connected = "lost" not in changed
     rig.vehicle.mode = changed.get("mode", "GUIDED")
