@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.config.models import FleetConfig
+from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.mission_ways import MissionRun
@@ -16,7 +17,7 @@ from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
 from support.vehicles import flight_dialect
-from support.watched_fleet import WatchedVehicle
+from support.watched_fleet import ORIGIN, WatchedVehicle
 
 pytestmark = pytest.mark.looptime
 
@@ -173,6 +174,27 @@ async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unkn
         await sky.monitor.evaluate()
         await asyncio.sleep(0.5)
     assert [await mission_meets(sky, copter, away_m) for away_m in (-60.0, -130.0, -170.0)] == [True, True, False]
+    sky.fleet.close()
+
+
+async def test_a_plane_that_circles_where_it_was_sent_counts_there_alone() -> None:
+    """A copter's goto 55 m outside of its circle was refused half of the time, for the doubled circle about it."""
+    sky = Sky(2)
+    plane, copter = sky.vehicles
+    frame = EnuFrame(ORIGIN)
+    for _ in range(4):
+        now = sky.loop.time()
+        plane.heartbeat(now, kind=1, mode=15)
+        plane.position(now, (0.0, 0.0, 50.0), (0.0, 12.0, 0.0))
+        copter.heartbeat(now)
+        copter.position(now, (-400.0, 0.0, 50.0))
+        await sky.monitor.evaluate()
+        await asyncio.sleep(0.5)
+    actor = sky.fleet.vehicles[plane.vehicle.key]
+    circle_m = actor.vehicle.hold_reach_m(sky.loop.time())
+    sky.monitor.arriving(actor, sky.monitor.sent_to(actor, frame.to_geodetic(circle_m - 5.0, 0.0, 50.0)), ok=True)
+    place = frame.to_geodetic(-70.0, 0.0, 50.0)
+    assert sky.monitor.goto_refusal(sky.fleet.vehicles[copter.vehicle.key].vehicle, place, frozenset()) is None
     sky.fleet.close()
 
 

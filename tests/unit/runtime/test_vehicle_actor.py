@@ -543,6 +543,24 @@ async def test_a_repeated_arming_ends_once_somebody_has_armed_the_vehicle(ground
     assert [c for c, _ in vehicle.commands()].count(ARM) == 1
 
 
+async def test_a_take_off_is_not_tried_again_once_a_pilot_has_disarmed_what_it_armed(ground: Ground) -> None:
+    """It armed again, a second later, and flew off."""
+    vehicle, actor = await one(ground, ARDUPILOT)
+
+    def script(v: ScriptedVehicle, sent: Sent) -> None:
+        if sent.command == TAKEOFF:
+            v.armed = False  # by its pilot; the take-off is refused for that
+            v.pulse()
+            v.reply(sent, 4)
+        else:
+            accept_everything(v, sent)
+
+    vehicle.script = script
+    outcome = await actor.takeoff(5.0, wait_s=10.0)
+    assert outcome.result == "refused" and "is disarmed again" in outcome.message
+    assert [p for c, p in vehicle.commands() if c == ARM and p[0] == 1.0] == [(1.0, 0.0)]
+
+
 async def test_a_disarming_takes_the_place_of_an_arming_that_is_still_repeated(ground: Ground) -> None:
     """It waited for its turn behind the arming, which came through meanwhile."""
     vehicle, actor = await one(ground, ARDUPILOT)
