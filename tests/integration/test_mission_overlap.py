@@ -208,3 +208,24 @@ async def test_a_mission_that_another_station_has_replaced_is_not_the_one_that_i
             await asyncio.sleep(2.0)
         await gcs.done("missions.start", targets="all")
         assert reads() == 1
+
+
+async def test_a_start_waits_a_moment_for_the_mission_of_another_one_and_is_refused_without_any(tmp_path: Path) -> None:
+    """It waited 39 s for a list that did not come."""
+    async with aloft(tmp_path, px4=0, ardupilot=2) as gcs:
+        for name in ("v1", "v2"):
+            x, y, up = gcs.place(name)
+            far = mission((x, y + 30.0, up), (x, y + 60.0, up), home=gcs.place_of_home(name)[:2])
+            await gcs.done("missions.upload", targets=name, plan=far)
+        await gcs.done("missions.start", targets="v1")
+        await asyncio.sleep(3.0)
+        gcs.loses = frozenset({"MISSION_REQUEST_LIST"})
+        gcs.actor("v1").missions.stop("lost", "a test")
+        asked = gcs.now
+        await gcs.done("missions.start", targets="v2")  # by what is known of the other one's
+        assert gcs.now - asked < 8.0
+        await gcs.done("vehicles.hold", targets="v2")
+        gcs.actor("v1").missions.forget(MissionType.MISSION)
+        refused = await gcs.outcome("missions.start", "v2")
+        assert refused["result"] == "refused" and "the mission that v1 flies could not be read" in refused["message"]
+        await gcs.done("missions.start", targets="v2", force=True)

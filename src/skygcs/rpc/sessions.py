@@ -347,7 +347,7 @@ class Session(ClientPeer):
                 reply = self._start(request, twice)
             if isinstance(reply, bytes):
                 size += len(reply)
-                if len(reply) > most // MAX_BATCH:
+                if len(reply) > most // MAX_BATCH and isinstance(request, dict) and "method" in request:
                     large.append(request["method"])
                 if size > most:
                     text = f"the replies of this batch exceed {most} bytes"

@@ -61,6 +61,12 @@ CARRIED_ON = frozenset[Order](
 NEVER_LATE = frozenset[Order]({VehicleActor.stop, onboard_orders.upload_plan})
 """Orders that a newer one does not make void while they wait: the stop has the last word, an upload moves nothing."""
 
+UNKNOWN_WAY = f"so it is not known who comes near whom; {orders.FORCE_HINT}"
+
+OTHERS_READ_S = 5.0
+"""How long missions that begin wait for those that fly and may have changed: then these are compared as they were last
+known, and go on being read for the next start."""
+
 MAX_KEPT = 64
 """Kept orders in progress at one time; further ones end when their client disconnects. Each lasts seconds."""
 
@@ -391,11 +397,16 @@ class FleetOrders:
             return await self._monitor.mission_refusals(alone)
         heard = [a for a in others if a.vehicle.connected and not a.vehicle.replayed]
         flying = [a for a in heard if a.vehicle.mode in mission_orders.MISSION_MODES]
-        read = await asyncio.gather(*(actor.missions.known_items() for actor in (*starting, *flying)))
+        reading = [actor.missions.known_items() for actor in starting]
+        reading += [actor.missions.known_items(within_s=OTHERS_READ_S) for actor in flying]
+        read = await asyncio.gather(*reading)
+        if blind := [actor.name for actor in flying if actor.missions.items is None]:
+            text = f"the mission that {blind[0]} flies could not be read: {UNKNOWN_WAY}"
+            return dict.fromkeys(starting, text)
         known = await self._with_return_heights(
             {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=False) if items is not None}
         )
-        text = f"its mission could not be read, so it is not known whom it comes near; {orders.FORCE_HINT}"
+        text = f"its mission could not be read: {UNKNOWN_WAY}"
         unread = {actor: text for actor in starting if actor not in known}
         return {**unread, **await self._monitor.mission_refusals(known)}
 

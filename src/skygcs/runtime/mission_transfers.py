@@ -53,6 +53,7 @@ from skygcs.events import Event
 from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.loop_clock import DeadlineTimer
 from skygcs.runtime.order_runner import duplicate_refusal
+from skygcs.runtime.task_set import TaskSet
 
 UPLOAD = standing("mission upload")
 
@@ -77,10 +78,12 @@ MAX_WAITING = 4
 MAX_CHANGES = 5
 """Kinds of changes to a mission that the outcome of its upload names."""
 
-STATES = {1: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "complete"}
+NO_MISSION = 1
+
+STATES = {NO_MISSION: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "complete"}
 """MISSION_STATE."""
 
-STATE_TEXTS = {1: "it has no mission", **{state: f"its mission is {STATES[state]}" for state in (2, 3, 4, 5)}}
+STATE_TEXTS = {NO_MISSION: "it has no mission", **{state: f"its mission is {STATES[state]}" for state in (2, 3, 4, 5)}}
 
 
 class Missions:
@@ -130,6 +133,9 @@ class Missions:
         self._crossed = False
         """Another station has changed the list that is being transferred."""
         self._timer = DeadlineTimer(loop, self._on_timer)
+        self._tasks = TaskSet(loop, on_event, vehicle.name, vehicle.sysid)
+        self._reading: asyncio.Task[Any] | None = None
+        """The download of `known_items`."""
         # progress of the mission as the vehicle reports it
         self._current = b""
         self._seq: int | None = None
@@ -245,11 +251,13 @@ class Missions:
         if self._running is not None and self._running[0].kind is kind:
             self._crossed = True
 
-    async def known_items(self) -> tuple[MissionItem, ...] | None:
+    async def known_items(self, within_s: float | None = None) -> tuple[MissionItem, ...] | None:
         """The mission on board, read if it is not known, or may not be the one that was sent from here; None: it could
-        not be read."""
+        not be read, or not ``within_s``. One reading serves all who ask meanwhile."""
         if not self._is_known(MissionType.MISSION):
-            await self.fetch([MissionType.MISSION])
+            if self._reading is None or self._reading.done():
+                self._reading = self._tasks.start(self.fetch([MissionType.MISSION]), "reading of its mission")
+            await asyncio.wait({self._reading}, timeout=within_s)
         return self.items if self._is_known(MissionType.MISSION) else None
 
     async def fence_shapes(self) -> FencePlan | None:
@@ -325,6 +333,7 @@ class Missions:
         """The daemon ends, or the vehicle is dropped: end the transfer for this reason."""
         self._closed = reason
         self.stop("cancelled", reason)
+        self._tasks.close()
         self._timer.set(None)
 
     async def _run(self, protocol: MissionProtocol, what: str) -> MissionOutcome:
@@ -391,8 +400,9 @@ class Missions:
         self._opaque_ids[kind] = self._heard_ids[kind] = outcome.opaque_id
         self._doubted.discard(kind)
         if kind is MissionType.MISSION:
-            self._items = from_wire(items, first_is_home=home_first)
-            self._progress = Progress()  # what was reached was of the one before
+            before, self._items = self._items, from_wire(items, first_is_home=home_first)
+            if not isinstance(protocol, MissionDownload) or self._items != before:
+                self._progress = Progress()  # what was reached was of the one before
             self._total, self._current = None, b""
 
     def _apply(self, effects: tuple[Effect, ...]) -> None:
@@ -453,8 +463,8 @@ class Missions:
         self._current = frame.payload
         fields = frame.fields()
         seq, state = fields["seq"], fields.get("mission_state", 0)
-        total = fields.get("total", 0)  # 0: not sent, 65535: none
-        self._total = 0 if total == 0xFFFF else total or None
+        total = fields.get("total", 0)  # 65535: none; 0: not sent, or none of an ArduPilot that says so
+        self._total = 0 if total == 0xFFFF or (total == 0 and state == NO_MISSION) else total or None
         for kind, offset in ID_OFFSETS.items():
             number = self._heard_ids[kind] = opaque_id(frame.payload, offset)
             if number is not None and number == self._opaque_ids.get(kind):

@@ -462,7 +462,8 @@ class OrderRunner:
             if not outcome.ok:
                 outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
-                if _arms(plan) and (why := disarmed_since(self._vehicle, run.were_in.at)) is not None:
+                why = disarmed_since(self._vehicle, run.were_in.at) if _arms(plan) else None
+                if why is not None and outcome.result != "refused":
                     outcome, message = replace(outcome, result="refused"), f"{message}; {why}"  # not tried again
                 if number == self.ledger.number:
                     message += await self._undo(done, run)

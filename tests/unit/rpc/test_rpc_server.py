@@ -198,6 +198,8 @@ async def test_a_batch_is_answered_as_one_without_its_notifications(bench: Bench
     answers = await peer.answer()
     assert [a["id"] for a in answers] == [1, None, 2, "x", 4]
     assert [a.get("error", {}).get("code") for a in answers] == [None, -32600, None, None, -32601]
+    peer.send([{"jsonrpc": "2.0", "id": "x" * 40_000}, {**info, "id": 2}])  # no method, and an answer of much
+    assert [a["id"][:1] if isinstance(a["id"], str) else a["id"] for a in await peer.answer()] == ["x", 2]
     peer.send([info, info], [], [info] * (sessions.MAX_BATCH + 1))
     assert (await peer.answer())["error"]["code"] == -32600
     assert (await peer.answer())["error"]["code"] == -32005

@@ -509,13 +509,17 @@ async def test_a_list_that_may_have_changed_is_read_again_before_it_is_used(
 
 async def test_a_run_that_has_ended_stays_so_whoever_changes_the_mission_then() -> None:
     """Else a plan would have it go on, with a mission of somebody else's."""
-    async with Site() as (_, storing, actor):
+    async with Site() as (ground, storing, actor):
         await onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:2]), kinds=(MISSION,))
         for seq in (0, 1):
             storing.current(seq)
             await asyncio.sleep(0.1)
         await _hears(storing, mav.MAVLink_mission_item_reached_message(1))
         assert actor.missions.complete
+        # the same one is read again, once for all who ask
+        actor.missions.stop("lost", "a test")
+        assert None not in await asyncio.gather(*(actor.missions.known_items() for _ in range(8)))
+        assert [s.name for s in ground.sent].count("MISSION_REQUEST_LIST") == 1 and actor.missions.complete
         await CHANGES["another station's mission"](storing, actor)
         assert actor.missions.complete and actor.missions.status()["counts"]["mission"] is None
         actor.missions.run_begins()

@@ -330,7 +330,7 @@ ARDUPILOT_NUMBERS = frozenset(
 """Commands without a position of which an ArduPilot keeps param5 to param7, or some of them."""
 
 ARDUPILOT_ALTERS: Mapping[int, str] = {
-    mav_cmd.NAV_WAYPOINT: "i---",
+    mav_cmd.NAV_WAYPOINT: "iww-",
     mav_cmd.NAV_LOITER_UNLIM: "--i-",
     mav_cmd.NAV_LOITER_TURNS: "t-rb",
     mav_cmd.NAV_LOITER_TIME: "i-sb",
@@ -354,8 +354,9 @@ ARDUPILOT_ALTERS: Mapping[int, str] = {
     mav_cmd.VIDEO_START_CAPTURE: "i---",
     mav_cmd.VIDEO_STOP_CAPTURE: "i---",
 }
-"""How an ArduPilot reports param1 to param4, where it may differ from what was sent; see `_ALTERED`. Any other command
-as it was sent. An ArduPlane keeps other parameters of a waypoint: those that it gives back are as they were sent."""
+"""How an ArduPilot reports param1 to param4, where it may differ from what was sent; see `_ALTERED`. Of any other
+command, but of fences and rally points, it may drop one or round it ("~"). An ArduPlane keeps other parameters of a
+waypoint than a copter, as bytes; each drops those of the other."""
 
 PX4_ALTERS: Mapping[int, str] = {
     mav_cmd.NAV_WAYPOINT: "==-y",
@@ -371,7 +372,13 @@ PX4_ALTERS: Mapping[int, str] = {
     mav_cmd.DO_SET_ROI: "----",
     mav_cmd.CONDITION_GATE: "----",
 }
-"""The same of a PX4, for items with a position; it keeps the parameters of the others as they are."""
+"""The same of a PX4, for items with a position; it keeps the parameters of the others as they are, but for jumps."""
+
+PX4_RENAMES: Mapping[int, int] = {mav_cmd.NAV_ROI: mav_cmd.DO_SET_ROI}
+"""Commands that a PX4 reports by another number."""
+
+ROUNDED = 1e-3
+"""A half-precision float is off by half of it."""
 
 _ALTERED: Mapping[str, Callable[[float], float]] = {
     "-": lambda value: 0.0,
@@ -382,7 +389,8 @@ _ALTERED: Mapping[str, Callable[[float], float]] = {
     "r": lambda value: float(int(value)) if abs(value) <= 255 else 10.0 * max(-255, min(255, int(value / 10))),
 }
 """Forms of a parameter: dropped, whole, yes or no, direction, turns (a byte), radius (a byte). Besides: "=" as it was
-sent, "y" a heading, in degrees from 0 to 360."""
+sent, "y" a heading, in degrees from 0 to 360, "j" 16 bits, "w" dropped, or whole, and then perhaps a byte, "~" also
+rounded."""
 
 HEADING_GRID_DEG = 0.01
 """A PX4 keeps headings in radians."""
@@ -451,17 +459,25 @@ def refusals(item: MissionItem, family: Family, names: Mapping[int, str]) -> Ite
 
 def same_item(sent: MissionItem, kept: MissionItem, family: Family | None) -> bool:
     """True if the item ``kept``, which the vehicle reports, is the one that was sent, as this firmware keeps it."""
-    if sent.command != kept.command:
+    command = PX4_RENAMES.get(sent.command, sent.command) if family == "px4" else sent.command
+    if kept.command not in (sent.command, command):
         return False
+    fence = command in FENCE_COMMANDS
     alters, same_place = "====", _same_place(sent, kept)
     params: Sequence[Sequence[float | None]] = (sent.params, kept.params)
     if family == "px4":
         if sent.frame != MISSION_FRAME:
             alters = PX4_ALTERS.get(sent.command, alters)
-        if sent.command not in FENCE_COMMANDS and sent.autocontinue != kept.autocontinue:
+        elif command == mav_cmd.DO_JUMP:
+            alters = "=j=="
+        if fence:  # it forgets which altitude that is
+            same_place = same_place or _same_place(replace(sent, frame=GLOBAL), kept)
+        if not fence and sent.autocontinue != kept.autocontinue:
             return False
-    elif family == "ardupilot":
-        alters, same_place = ARDUPILOT_ALTERS.get(sent.command, alters), _same_place_of_ardupilot(sent, kept)
+    else:
+        if not fence and command != mav_cmd.NAV_RALLY_POINT:
+            alters = ARDUPILOT_ALTERS.get(command, "~~~~") if family == "ardupilot" else "~~~~"
+        same_place = _same_place_of_ardupilot(sent, kept) if family == "ardupilot" else same_place
         params = [[value or 0.0 for value in item.params] for item in (sent, kept)]
     return same_place and all(map(_same_param, alters, *params))
 
@@ -479,7 +495,14 @@ def _same_param(alters: str, sent: float | None, kept: float | None) -> bool:
         return False
     if alters == "y":
         return sent is not None and abs((kept - sent + 180) % 360 - 180) <= HEADING_GRID_DEG
-    return kept == _ALTERED[alters](sent or 0.0)
+    value = sent or 0.0
+    if alters == "j":
+        return kept == value % 65536
+    if alters in "w~" and kept in (0.0, float(int(value)), min(255.0, float(int(value)))):
+        return True
+    if alters in "w~":
+        return alters == "~" and abs(kept - value) <= max(ALTITUDE_GRID_M, ROUNDED * abs(value))
+    return kept == _ALTERED[alters](value)
 
 
 def _same_place(sent: MissionItem, kept: MissionItem) -> bool:
@@ -496,7 +519,8 @@ def _same_place_of_ardupilot(sent: MissionItem, kept: MissionItem) -> bool:
     if sent.command in ARDUPILOT_PLACED:
         without_frame = sent.frame == MISSION_FRAME and _same_place(replace(sent, frame=GLOBAL), kept)
         return without_frame or _same_place(sent, kept)
-    return sent.command not in ARDUPILOT_NUMBERS or _same_place(replace(sent, frame=kept.frame), kept)
+    numbers = replace(sent, frame=kept.frame)
+    return sent.command not in ARDUPILOT_NUMBERS or any(_same_place(replace(numbers, z=z), kept) for z in (sent.z, 0.0))
 
 
 def px4_order(items: tuple[MissionItem, ...]) -> Iterator[tuple[int, str]]:

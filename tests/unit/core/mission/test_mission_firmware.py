@@ -305,7 +305,14 @@ CIRCLE = MissionItem(5003, 0, (50.0, 0.0, 0.0, 0.0), 1, 2)
         ("ardupilot", item(189, 0, 0, 0, 0, frame=2), item(189, frame=0)),
         ("ardupilot", item(5000, 0, 0, 0, 0, LAT, LON, 30), item(5000, 0, 0, 0, 0, LAT, LON, 0, frame=0)),
         ("ardupilot", item(5100, 0, 0, 0, 0, LAT, LON, 15.7), item(5100, 0, 0, 0, 0, LAT, LON, 15)),
+        ("ardupilot", item(16, 0, 30.5, 300, 0, LAT, LON, 20), item(16, 0, 30, 255, 0, LAT, LON, 20)),  # ArduPlane
+        ("ardupilot", item(94, 1.2, 0, 0, 0, LAT, LON, 20), item(94, 1.1999999, 0, 0, 0, LAT, LON, 20)),
+        ("ardupilot", item(42702, 1, 10, 0.1, 0.3, frame=2), item(42702, 1, 10, 0.09998, 0.30005, frame=2)),
+        ("ardupilot", item(183, 9, 1500, 7, 0, frame=2), item(183, 9, 1500, 0, 0, frame=0)),
         # parse_mavlink_mission_item and format_mavlink_mission_item, PX4 v1.16.1
+        ("px4", item(5000, 0, 0, 0, 0, LAT, LON, 30), item(5000, 0, 0, 0, 0, LAT, LON, 30, frame=0)),
+        ("px4", item(80, 0, 0, 0, 0, LAT, LON, 20), item(201, 0, 0, 0, 0, LAT, LON, 20)),
+        ("px4", item(177, 3, -1, frame=2), item(177, 3, 65535, frame=2)),
         ("px4", HOLD, item(16, 2.5, 30, 0, 270.00001, LAT, LON, 20, frame=6)),
         ("px4", item(16, 0, 0, 7, None, LAT, LON, 20), item(16, 0, 0, 0, None, LAT, LON, 20)),
         ("px4", item(19, 7, 5, 30, None, LAT, LON, 20), item(19, 7, 1, 30, 0, LAT, LON, 20)),
