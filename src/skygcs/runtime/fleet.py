@@ -557,7 +557,7 @@ class Fleet:
         self._contained(self.orders.close, pause.text)
         self._contained(self.monitor.close)
         for key, actor in list(self.vehicles.items()):
-            self._contained(actor.runner.cut_stops, pause.text)
+            self._contained(actor.outcomes.cut_stops, pause.text)
             self._contained(self._drop, key, pause.text)
         for component in list(self.components.all()):
             self._contained(self.components.forget, component.sysid << 8 | component.compid, pause.text)

@@ -243,7 +243,7 @@ class FleetOrders:
     def _report_cancelled(self, actors: Sequence[Actor], given: Given) -> None:
         """An order has ended before it was sent to anyone."""
         for vehicle in (actor for actor in actors if isinstance(actor, VehicleActor)):
-            outcome = vehicle.runner.finish(given.order.__name__, given.cancelled())
+            outcome = vehicle.outcomes.finish(given.order.__name__, given.cancelled())
             given.ended(vehicle.name, _shaped(given.order, outcome))
 
     async def push_origin(

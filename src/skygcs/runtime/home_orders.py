@@ -27,7 +27,7 @@ NO_USE = frozenset({"refused", "unsupported", "lost", "cancelled"})
 
 async def push_origin(actor: VehicleActor, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
     """Send the fleet's origin to the vehicle; with ``home`` also make it the home. When armed only with ``force``."""
-    return await actor.runner.track("origin", _pushed(actor, origin, home, force))
+    return await actor.outcomes.track("origin", _pushed(actor, origin, home, force))
 
 
 async def _pushed(actor: VehicleActor, origin: Origin, home: bool, force: bool) -> Outcome:

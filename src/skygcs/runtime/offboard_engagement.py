@@ -28,8 +28,8 @@ from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardController, OffboardState
-from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
+from skygcs.core.vehicle.setpoint_generator import Tick
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.core.vehicle.trajectory_flight import (
     LoadedTrajectory,

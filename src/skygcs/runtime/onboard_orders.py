@@ -31,14 +31,14 @@ async def upload_plan(
     if (why := _list_refusal(actor, kinds)) is not None:
         return actor.refuse("plan upload", why)
     work = actor.missions.bring(plan, kinds, limit_m=actor.config.goto_limit_m, force=force)
-    return await actor.runner.track("plan upload", work)
+    return await actor.outcomes.track("plan upload", work)
 
 
 async def clear_plan(actor: VehicleActor, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
     """See `Missions.drop`; as `upload_plan`."""
     if (why := _list_refusal(actor, kinds)) is not None:
         return actor.refuse("plan clear", why)
-    return await actor.runner.track("plan clear", actor.missions.drop(kinds, force=force))
+    return await actor.outcomes.track("plan clear", actor.missions.drop(kinds, force=force))
 
 
 async def download_plan(actor: VehicleActor, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
@@ -46,7 +46,7 @@ async def download_plan(actor: VehicleActor, kinds: Collection[MissionType]) -> 
     if (why := actor.authority_refusal()) is not None:
         return actor.refuse("plan download", why), MissionPlan()
     outcome, plan = await actor.missions.fetch(kinds)
-    return actor.runner.finish("plan download", outcome), plan
+    return actor.outcomes.finish("plan download", outcome), plan
 
 
 def _list_refusal(actor: VehicleActor, kinds: Collection[MissionType]) -> str | None:
@@ -128,9 +128,9 @@ async def _report_fence(
 ) -> FenceOutcome:
     """Report its outcome like that of any order; a cancelled test reports itself."""
     if actor.vehicle.duplicate:
-        return FenceOutcome(actor.runner.finish(order, duplicate_refusal(actor.vehicle)))
+        return FenceOutcome(actor.outcomes.finish(order, duplicate_refusal(actor.vehicle)))
     outcome = await work()
-    actor.runner.finish(order, outcome.outcome)
+    actor.outcomes.finish(order, outcome.outcome)
     return outcome
 
 

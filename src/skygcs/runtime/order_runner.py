@@ -1,19 +1,17 @@
-"""Runs one vehicle's orders: from the request to the one Outcome that is returned and reported as an event.
+"""Runs one vehicle's orders: from the request to the one Outcome that is returned, and reported by `OrderOutcomes`.
 
 An order is planned (`core.vehicle.orders`), then its plan is executed step by step. Refusals by the vehicle or by
-skygcs are outcomes, not exceptions; so is a cancellation. The runner counts the orders that move the vehicle: a newer
-one replaces an older one in progress.
+skygcs are outcomes, not exceptions; so is a cancellation. Of the orders that move the vehicle a newer one replaces an
+older one in progress; the `OrderLedger` counts them.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections import Counter
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
@@ -28,9 +26,9 @@ from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
-from skygcs.events import Event
 from skygcs.runtime.command_client import EVERYWHERE, LATE_ACK_S, SUPERSEDED, CommandClient, Moves
 from skygcs.runtime.flight_elsewhere import FlownBySetpoints
+from skygcs.runtime.order_outcomes import OrderOutcomes
 from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, OWN, Asked, ask, numbered
 
 MOVING = frozenset(
@@ -73,9 +71,6 @@ UNHEARD = frozenset({"timeout", "lost"})
 Planner = Callable[[float], Plan]
 """Plans an order at this loop time. Raises RefusedError, and NotReadyError if the order may be possible soon."""
 
-Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
-"""Plans and executes."""
-
 
 class _PlanInProgress:
     """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
@@ -110,14 +105,13 @@ class OrderRunner:
         commands: CommandClient,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
+        outcomes: OrderOutcomes,
         order_refusal: Callable[[Plan], str | None] = lambda plan: None,
         first_number: int = 0,
     ) -> None:
         """``order_refusal``: why a plan is not executed; None: it may be. ``first_number``: see `OrderLedger`."""
         # state that others read, and callbacks
         self.ledger = OrderLedger(first_number)
-        self._under_way: Counter[str] = Counter()
         self.flown_by: FlownBySetpoints | None = None
         """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
         self.on_carried_out: Callable[[Plan], None] = lambda plan: None
@@ -131,7 +125,7 @@ class OrderRunner:
         self._commands = commands
         self._dialect = dialect
         self._loop = loop
-        self._on_event = on_event
+        self._outcomes = outcomes
         self._order_refusal = order_refusal
         # plans in progress
         self._newest: Plan | None = None
@@ -147,7 +141,7 @@ class OrderRunner:
 
     async def run(self, order: str, planner: Planner) -> Outcome:
         """Run a simple order and report its outcome."""
-        return await self.track(order, self.attempt(planner))
+        return await self._outcomes.track(order, self.attempt(planner))
 
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """`run`, repeated until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle gives a
@@ -155,7 +149,7 @@ class OrderRunner:
         moves = order in MOVING
         self._waiting += moves
         try:
-            return await self.track(order, numbered(self._tries(order, planner, wait_s)))
+            return await self._outcomes.track(order, numbered(self._tries(order, planner, wait_s)))
         finally:
             self._waiting -= moves
             self._order_ended.set()
@@ -244,44 +238,14 @@ class OrderRunner:
         is this one given: whose answers were lost, or whose client is gone, may have moved the vehicle."""
         if not self.ledger.knows(number):
             unknown = f"it has no order {number} of this run of skygcs; without a number hold ends whatever moves it"
-            return self.finish(order, Outcome.refused(unknown))
+            return self._outcomes.finish(order, Outcome.refused(unknown))
         while self.ledger.moving or self._waiting:
             self._order_ended.clear()
             await self._order_ended.wait()
         if self.ledger.effective > number:
             newer = f"a newer order moves it, or may move it (number {self.ledger.effective})"
-            return self.finish(order, Outcome.refused(newer))
+            return self._outcomes.finish(order, Outcome.refused(newer))
         return await self.run(order, planner)
-
-    async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
-        """Run the work of an order and report its outcome; if it is cancelled, that is its outcome."""
-        started = self._loop.time()
-        self._under_way[order] += 1
-        try:
-            outcome = await work
-        except asyncio.CancelledError:
-            text = "cancelled: the client that gave it is gone; what was sent already cannot be undone"
-            self.finish(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
-            raise
-        finally:
-            self._under_way[order] -= 1
-        return self.finish(order, outcome)
-
-    def cut_stops(self, why: str) -> None:
-        """Report each stop that is under way as lost, which is an alarm: it will not be repeated any more."""
-        for _ in range(self._under_way["stop"]):
-            self.finish("stop", Outcome(False, "lost", f"{why}: the stop was not confirmed, order it again"))
-
-    def finish(self, order: str, outcome: Outcome) -> Outcome:
-        """Report the outcome of an order that has ended."""
-        self._publish(f"{order}: {outcome.message}", {"order": order, **outcome.as_dict()})
-        return outcome
-
-    def report_progress(self, order: str, percent: int | None) -> None:
-        """Report that an order is in progress."""
-        progress = "" if percent is None else f" {percent} %"
-        data = {"order": order, "result": "in_progress", "percent": percent}
-        self._publish(f"{order}: in progress{progress}", data)
 
     # -- one attempt
 
@@ -516,7 +480,7 @@ class OrderRunner:
             newer = run.number != self.ledger.number and not plan.final
             if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
                 return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
-            self.report_progress(plan.order, None)
+            self._outcomes.report_progress(plan.order, None)
 
     async def _step(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
         """Send the command of a step, or its message, and wait until the vehicle shows the result."""
@@ -543,7 +507,7 @@ class OrderRunner:
                 spec,
                 emergency=plan.emergency,
                 satisfied=met,
-                on_report=lambda percent: self.report_progress(plan.order, percent),
+                on_report=lambda percent: self._outcomes.report_progress(plan.order, percent),
                 moves=self._moves(spec, run, expect),
                 with_repeats=step.with_repeats,
                 clearance=run.clearance,
@@ -629,7 +593,7 @@ class OrderRunner:
                 text = f"timeout: accepted, but {f'it is in {self._vehicle.mode} now' if left_mode else why}"
                 return replace(accepted, ok=False, result="timeout", message=text, attempts=attempts)
             # send it again
-            self.report_progress(plan.order, None)
+            self._outcomes.report_progress(plan.order, None)
             repeated = await self._step(again, plan, run)
             attempts += repeated.attempts
             if not repeated.ok:
@@ -754,9 +718,6 @@ class OrderRunner:
             return outcome
         why = step.refused or f"{firmware_name(self._vehicle)} gave no reason ({step.name})"
         return replace(outcome, message=f"{outcome.message}: {why}")
-
-    def _publish(self, text: str, data: dict[str, Any]) -> None:
-        self._on_event(Event("command", self._vehicle.name, self._vehicle.sysid, text, data))
 
 
 def duplicate_refusal(vehicle: Vehicle) -> Outcome:

@@ -14,7 +14,7 @@ from skygcs.core.control.cascade import Memory
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import PredictionStep, TraceHead, TraceRow, TraceWriter
 from skygcs.core.vehicle.offboard_controller import OffboardController
-from skygcs.core.vehicle.offboard_tick import Tick
+from skygcs.core.vehicle.setpoint_generator import Tick
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 

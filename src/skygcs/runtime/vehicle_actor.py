@@ -53,6 +53,7 @@ from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.order_outcomes import OrderOutcomes
 from skygcs.runtime.order_runner import OrderRunner
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
@@ -113,6 +114,7 @@ class VehicleActor:
         )
         self.authority_refusal: Callable[[], str | None] = partial(services.links.authority_refusal, vehicle.sysid)
         """Why nothing may be sent to it now, as another site may command it; None: it may."""
+        self.outcomes = OrderOutcomes(self.vehicle, services.loop, services.on_event)
         self.runner = self._new_runner(services)
         self.offboard = self._new_offboard(services)
         self.unattended = self._new_unattended(flown_before)
@@ -122,7 +124,7 @@ class VehicleActor:
         self.params = VehicleParams(vehicle, services)
         self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self._request)
         self.missions = Missions(
-            vehicle, self.commands, services.dialect, services.loop, self.runner.report_progress, services.on_event
+            vehicle, self.commands, services.dialect, services.loop, self.outcomes.report_progress, services.on_event
         )
         self._logs: VehicleLogs | None = None
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
@@ -217,8 +219,7 @@ class VehicleActor:
 
     def _new_runner(self, services: VehicleServices) -> OrderRunner:
         dialect, loop, began_ms = services.dialect, services.loop, time.time_ns() // 1_000_000
-        refusal = self._order_refusal
-        return OrderRunner(self.vehicle, self.commands, dialect, loop, services.on_event, refusal, began_ms)
+        return OrderRunner(self.vehicle, self.commands, dialect, loop, self.outcomes, self._order_refusal, began_ms)
 
     def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | FlightElsewhere:
         """Its flight by setpoints: from here, or from where an extension relays its orders."""
@@ -454,7 +455,7 @@ class VehicleActor:
         """``instead_of``: the number of the order that it ends; refused if a newer one moves the vehicle. ``spares``:
         see `Plan`."""
         if instead_of is not None and self.offboard.controller.active:  # of an order under control there is no number
-            return self.runner.finish("hold", Outcome.refused("it is flown by setpoints since that order"))
+            return self.outcomes.finish("hold", Outcome.refused("it is flown by setpoints since that order"))
         if instead_of is not None:
             return await self.runner.unless_newer(instead_of, "hold", self._plan_hold)
         return await self.runner.run("hold", lambda now: replace(self._plan_hold(now), spares=spares))
@@ -472,7 +473,7 @@ class VehicleActor:
         try:
             to = self.destination(**where)
         except RefusedError as error:
-            return self.runner.finish("goto", Outcome.refused(str(error)))
+            return self.outcomes.finish("goto", Outcome.refused(str(error)))
         if (why := await self.runner.late()) is not None:
             return self.refuse("goto", why)
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
@@ -480,7 +481,7 @@ class VehicleActor:
         outcome = await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         if outcome.ok:
             self.runner.note_effect()
-        return self.runner.finish("goto", outcome)
+        return self.outcomes.finish("goto", outcome)
 
     def destination(self, **where: Unpack[orders.Where]) -> Destination:
         """Where a `goto` would lead it now. Raises RefusedError where that would be refused."""
@@ -494,14 +495,14 @@ class VehicleActor:
         """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
         if (why := self.services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
             return self.refuse("calibrate", why)
-        return await self.runner.track("calibrate", self.calibration.run(Sensor(sensor)))
+        return await self.outcomes.track("calibrate", self.calibration.run(Sensor(sensor)))
 
     async def confirm_pose(self) -> Outcome:
         """It lies as its calibration asked for."""
-        return await self.runner.track("calibrate confirm", self.calibration.confirm())
+        return await self.outcomes.track("calibrate confirm", self.calibration.confirm())
 
     async def cancel_calibration(self) -> Outcome:
-        return await self.runner.track("calibrate cancel", self.calibration.cancel())
+        return await self.outcomes.track("calibrate cancel", self.calibration.cancel())
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self.runner.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -559,23 +560,23 @@ class VehicleActor:
             return await self._engage(mode, force=force)
         if not self.offboard.controller.active:
             self.offboard.release("switched off")
-            return self.runner.finish("control", Outcome(True, "accepted", "control is off"))
-        return await self.runner.track("control", self._switched_off())
+            return self.outcomes.finish("control", Outcome(True, "accepted", "control is off"))
+        return await self.outcomes.track("control", self._switched_off())
 
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
         if self._closed:
-            return self.runner.finish("control", Outcome.refused(f"{self._closed}: nothing flies it any more"))
+            return self.outcomes.finish("control", Outcome.refused(f"{self._closed}: nothing flies it any more"))
         return await numbered(self._engaged(ControlMode(mode), force=force))
 
     async def _engaged(self, mode: ControlMode, *, force: bool) -> Outcome:
-        outcome = await self.runner.track("control", self.offboard.engage(mode, force=force))
+        outcome = await self.outcomes.track("control", self.offboard.engage(mode, force=force))
         if outcome.ok:
             self.runner.note_effect()
         return outcome
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""
-        return await self.runner.track("gains", self.offboard.change_gains(changes, force=force))
+        return await self.outcomes.track("gains", self.offboard.change_gains(changes, force=force))
 
     def setpoint(
         self,
@@ -627,7 +628,7 @@ class VehicleActor:
 
     def refuse(self, order: str, reason: str) -> Outcome:
         """Report an order that the fleet refuses."""
-        return self.runner.finish(order, Outcome.refused(reason))
+        return self.outcomes.finish(order, Outcome.refused(reason))
 
     def require_preflight(self, *, force: bool) -> None:
         """Raises RefusedError if it must not be armed now."""

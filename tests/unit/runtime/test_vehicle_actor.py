@@ -634,11 +634,11 @@ async def test_a_stop_that_a_standstill_ends_is_reported_as_lost() -> None:
         _, actor = await flying(ground, PX4)
         stopping = asyncio.create_task(actor.stop("land"))
         await asyncio.sleep(0)
-        actor.runner.cut_stops("skygcs stood still for 10 s")
+        actor.outcomes.cut_stops("skygcs stood still for 10 s")
         (lost,) = (e for e in ground.events if e.data.get("result") == "lost")
         assert lost.data["order"] == "stop" and "order it again" in lost.text
         await stopping
-        actor.runner.cut_stops("skygcs stood still for 10 s")  # none is under way
+        actor.outcomes.cut_stops("skygcs stood still for 10 s")  # none is under way
         assert sum(e.data.get("result") == "lost" for e in ground.events) == 1
 
 

@@ -42,10 +42,9 @@ from skygcs.core.vehicle.offboard_entry import (
     loss_timeout_s,
     moves_setpoints_on,
 )
-from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
 from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, RawSource
 from skygcs.core.vehicle.reference_source import ReferenceSource
-from skygcs.core.vehicle.setpoint_generator import NOTHING, SetpointGenerator
+from skygcs.core.vehicle.setpoint_generator import IDLE, NOTHING, SetpointGenerator, Tick, TickInput
 from skygcs.core.vehicle.steady_thrust import SteadyThrust
 from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle

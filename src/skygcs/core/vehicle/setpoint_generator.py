@@ -20,22 +20,24 @@ is not possible on ArduCopter. No loop is closed here by it, so no delay makes i
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
-from skygcs.core.control.cascade import Memory, Output, Quaternion, Reference, Vector, step, velocity_step
+from skygcs.core.control.cascade import Estimate, Memory, Output, Quaternion, Reference, Vector, step, velocity_step
 from skygcs.core.control.drag_estimate import DragObserver
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.pi import clip
+from skygcs.core.control.record import record
 from skygcs.core.control.trace import PredictionStep, TraceRow
-from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Timing, predicted_setpoint
+from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Timing, VelocityLoop, predicted_setpoint
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S, boosts_thrust
-from skygcs.core.vehicle.offboard_tick import IDLE, Message, Tick, TickInput
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
 
 LEAST_DEG = 1e-7
 """Resolution of coordinates on the wire, 1 cm."""
@@ -44,6 +46,53 @@ NOTHING = Memory()
 
 ATTITUDE, VELOCITY, POSITION = CONTROL_MODES
 """To name a member of an enumeration takes 75 ns each time (CPython 3.11)."""
+
+Message = tuple[str, dict[str, Any]]
+"""Name of a message and its fields, but for target_system and target_component."""
+
+
+@record
+class TickInput:
+    """Input that the setpoint of one tick is made from. Times are the loop's."""
+
+    at: float
+    dt_s: float
+    """Measured since the last tick, not clamped."""
+    estimate: Estimate | None
+    state_age_s: float | None
+    reference: Reference
+    following: bool
+    """True if the autopilot obeys: the integrators run only then."""
+    loop: VelocityLoop | None = None
+    """Velocity control predicts the state with this model; None: without prediction."""
+    round_trip_s: float = 0.0
+    """To predict over."""
+    hold_s: float = 0.0
+    """Until the next setpoint."""
+    lead_s: float = 0.0
+    """How much later than this tick the vehicle flies by its setpoint, on average."""
+
+
+@record
+class Tick:
+    """Output that one tick asks for. ``hold``: have the autopilot hold position, once.
+
+    ``left``: it ended because the autopilot shows another mode; see whether that stays so.
+    ``row`` is for the trace, with the law's memory before and after the step.
+    """
+
+    message: Message | None = None
+    events: tuple[Event, ...] = ()
+    hold: bool = False
+    left: bool = False
+    row: TraceRow | None = None
+    before: Memory | None = None
+    after: Memory | None = None
+    prediction: PredictionStep | None = None
+    """Prediction of velocity control in this tick, for the trace."""
+
+
+IDLE = Tick()
 
 
 class SetpointGenerator:

@@ -19,7 +19,7 @@ from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimator_origin import METRES_PER_DEG, EstimatorOrigin
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S
-from skygcs.core.vehicle.offboard_tick import Tick
+from skygcs.core.vehicle.setpoint_generator import Tick
 from skygcs.errors import RefusedError
 from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4

@@ -21,7 +21,7 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.estimate_view import JUDGE_S
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OLD_S, OffboardConfig, OffboardController, OffboardState
-from skygcs.core.vehicle.offboard_tick import Tick
+from skygcs.core.vehicle.setpoint_generator import Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.examples import examples
