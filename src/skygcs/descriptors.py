@@ -48,6 +48,7 @@ def hold_standard() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the system gives the lowest number that is free: this one
+            handle = os.open(os.devnull, os.O_RDWR)  # the system gives the lowest number that is free: this one
+            os.set_inheritable(handle, True)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))

@@ -221,3 +221,22 @@ async def test_a_trajectory_is_flown_as_well_at_a_delay_of_0_8_s_as_at_0_02_s(tm
             off = [math.dist(k.pos_m[:2], circle(k.at - began)[0]) for k in looks]
             found[delay_s] = math.sqrt(sum(d * d for d in off) / len(off))
     assert found[0.8] == pytest.approx(found[0.02], abs=0.05) and found[0.8] < 0.3, found
+
+
+@KINDS
+async def test_no_control_waits_at_a_companion_for_the_end_of_an_order(tmp_path: Path, kind: dict[str, Any]) -> None:
+    """It was begun over a landing that was ordered meanwhile, of which the companion had not heard."""
+    async with companion_pair(tmp_path, engaged="velocity", **kind) as pair:
+        pair.pi.loses = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE"})
+        holding = asyncio.create_task(pair.outcome("vehicles.hold"))
+        await asyncio.sleep(0.5)
+        refused = await pair.outcome("control.set", mode="velocity")
+        assert "another order takes over: hold was ordered" in refused["message"]
+        pair.calls.lose = lambda method, given: given.get("order") == "taken_over"
+        landing = asyncio.create_task(pair.outcome("vehicles.land"))
+        await asyncio.sleep(0.5)
+        pair.pi.loses = frozenset()
+        assert (await landing)["ok"] and not (await holding)["ok"]
+        pair.calls.lose = lambda method, given: False
+        await asyncio.sleep(8.0)
+        assert pair.pi.actor().vehicle.mode in ("AUTO.LAND", "LAND")

@@ -101,6 +101,7 @@ async def test_a_joystick_that_is_let_go_leaves_another_persons_landing_alone(tm
         joystick = JoystickFlight(cast(Any, StationInTheLoop(gcs)), "v1", engage=False, fleet_frame=True)
         joystick._session = StickSession(StickAxes(*map(AxisChoice, range(4))), StickLimits(), 5, gcs.now)
         await joystick._stop(flying=True)
+        await joystick._stop(flying=False)  # a click, as nothing is taken under control by it
         assert (await landing)["ok"]
         await asyncio.sleep(3)
         assert gcs.actor().vehicle.mode == "AUTO.LAND"

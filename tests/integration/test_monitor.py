@@ -304,3 +304,22 @@ async def test_a_goto_that_is_replaced_leaves_the_destination_of_the_newer_one(t
         await second
         outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=[x, y - 120.0, z]))["outcomes"]
         assert refused_for(outcomes, "v2", "v1"), outcomes
+
+
+async def test_a_destination_ends_with_the_hold_however_many_gotos_came_before(tmp_path: Path) -> None:
+    """It was kept in another form when the one before it ended, and never came to its own end."""
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        x, y, z = gcs.place("v1")
+        far = [[x - 60.0, y, z], [x - 60.0, y - 60.0, z], [x, y - 60.0, z]]
+        await gcs.done("vehicles.goto", targets="v1", enu_m=far[0])
+        gcs.uplink_delay_s = 0.3
+        older = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=far[1]))
+        await asyncio.sleep(0.1)
+        newer = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=far[2]))
+        await older
+        await newer
+        gcs.uplink_delay_s = 0.0
+        await gcs.done("vehicles.hold", targets="v1")
+        await asyncio.sleep(5.0)
+        assert math.dist(gcs.place("v1"), far[2]) > 20.0
+        await gcs.done("vehicles.goto", targets="v2", enu_m=far[2])

@@ -58,7 +58,7 @@ def run_sim(
     conditions: Conditions = CALM,
     params: Sequence[Path] = (),
 ) -> int:
-    """Run simulated vehicles until SIGINT or SIGTERM; the exit code. Says on stdout how to reach each.
+    """Run simulated vehicles until one of `ending_signals`; the exit code. Says on stdout how to reach each.
 
     ``counts``: how many of each kind (`vehicle_group.KINDS`).
 

@@ -93,7 +93,7 @@ class SitlOptions:
 
 
 def run_sitl(options: SitlOptions) -> int:
-    """Run until SIGINT or SIGTERM; 1 if an instance died. Raises ConfigError or LinkError, one line for a person."""
+    """Run until one of `ending_signals`; 1 if an instance died. Raises ConfigError or LinkError with a line to show."""
     count = sum(options.counts.values())
     if not 1 <= count <= MOST_INSTANCES:
         words = ", ".join(f"--{kind.replace('_', '-')}" for kind in KINDS)

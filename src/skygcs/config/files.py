@@ -55,21 +55,34 @@ def read_named(path: Path) -> bytes:
 
 def write_named(path: Path, content: str | bytes, *, force: bool = True) -> None:
     """Write a file that a person names for a command: whole, or what was there stays. A pipe or a device, as
-    /dev/stdout, is written to.
+    /dev/stdout, is written to; so is a file that another one in its place would not be (`_is_only_written_to`).
 
     Raises OSError with the path, FileExistsError for a file that is there unless ``force``.
     """
     data = content.encode() if isinstance(content, str) else content
     try:
-        if path.exists() and not path.is_file():
+        there = path.exists()
+        if there and (not path.is_file() or (force and _is_only_written_to(path))):
             path.write_bytes(data)
             return
-        if path.exists() and not force:
+        if there and not force:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
         os.umask(umask := os.umask(0o077))
-        write_whole(path.resolve(), data, stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~umask)
+        write_whole(path.resolve(), data, stat.S_IMODE(path.stat().st_mode) if there else 0o666 & ~umask)
+    except RuntimeError as error:  # a loop of symbolic links (Python 3.11)
+        raise OSError(errno.ELOOP, str(error), str(path)) from None
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def _is_only_written_to(path: Path) -> bool:
+    """True for a file that is there and is a stream of this process, has another owner or another name as well, or may
+    be written itself only: read-only, in a folder that is, or mounted in its place."""
+    real = path.resolve()
+    found = real.stat()
+    stream = path.absolute().parts[1] in ("dev", "proc")
+    shared = found.st_nlink > 1 or found.st_uid != os.geteuid() or real.is_mount()
+    return stream or shared or not (os.access(real, os.W_OK) and os.access(real.parent, os.W_OK))
 
 
 LOG_MODE = 0o640

@@ -208,8 +208,6 @@ class Fleet:
             self._loop.create_task(actor.wind_down(), name=f"{actor.name} undo") for actor in self.vehicles.values()
         }
         tasks.add(self._loop.create_task(self.plans.wind_down(), name="the plan's undo"))
-        if not tasks:
-            return
         done, late = await asyncio.wait(tasks, timeout=timeout_s)
         for task in late:
             task.cancel()

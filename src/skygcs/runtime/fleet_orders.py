@@ -209,9 +209,8 @@ class FleetOrders:
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         if order in CARRIED_ON:
             self._turns.taken(actors, name)
-        given = Given(
-            order, ask(), reports or Unreported(), by_person
-        )  # here: what is carried on begins a turn of the loop later
+        # the serial is made here, as what is carried on begins a turn of the loop later
+        given = Given(order, ask(), reports or Unreported(), by_person)
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await self._command(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)

@@ -260,10 +260,9 @@ class OrderRunner:
         try:
             plan = planner(self._loop.time())
             if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
-                if (
-                    why := await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
-                ) is not None:
-                    return Outcome.refused(why)
+                late = await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
+                if late is not None:
+                    return Outcome.refused(late)
                 plan = planner(self._loop.time())
         except NotReadyError as error:
             return Outcome(False, "temporarily_rejected", f"not ready: {error}")

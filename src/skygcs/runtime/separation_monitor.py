@@ -4,6 +4,7 @@ the holds that it asks for, and checks orders before they are sent."""
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -69,6 +70,8 @@ class Destination(NamedTuple):
     order_number: int
     mode: str | None
     """None: the order is still on its way."""
+    serial: int
+    """Of the order: it is this one in whatever form it is kept."""
     before: Destination | None = None
     """Where it flies if this order fails."""
 
@@ -95,6 +98,7 @@ class SeparationMonitor:
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event)
         self._destinations: dict[int, Destination] = {}
+        self._serials = itertools.count()
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
 
     # -- the watch
@@ -193,16 +197,19 @@ class SeparationMonitor:
         key, moves = actor.vehicle.key, 0 if actor.offboard.flying else 1  # control only moves the reference
         known = self._destinations.get(key)
         before = known.before if known is not None and known.mode is None else known
-        sent = self._destinations[key] = Destination(place, actor.order_number + moves, None, before)
+        sent = self._destinations[key] = Destination(
+            place, actor.order_number + moves, None, next(self._serials), before
+        )
         return sent
 
     def arriving(self, actor: VehicleActor, sent: Destination, *, ok: bool) -> None:
         """The order of `sent_to` has ended: it flies there, or does not."""
         key = actor.vehicle.key
         taken = ok and actor.runner.ledger.effective <= sent.order_number
-        now = sent._replace(mode=actor.vehicle.mode, before=None) if taken else None if ok else sent.before
         known = self._destinations.get(key)
-        if known is sent:
+        before = sent.before if known is None or known.serial != sent.serial else known.before
+        now = sent._replace(mode=actor.vehicle.mode, before=None) if taken else None if ok else before
+        if known is not None and known.serial == sent.serial:
             del self._destinations[key]
             if now is not None:
                 self._destinations[key] = now

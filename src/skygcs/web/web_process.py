@@ -272,7 +272,7 @@ class WebProcess:
 
 
 async def serve_web(options: WebOptions) -> None:
-    """Run the process until SIGINT or SIGTERM."""
+    """Run the process until one of `ending_signals`."""
     web = WebProcess(options)
     loop = asyncio.get_running_loop()
     for number in ending_signals():

@@ -80,6 +80,18 @@ def test_what_a_person_names_is_whole_or_as_it_was(tmp_path: Path, monkeypatch: 
     assert (real.read_text(), real.stat().st_mode & 0o777, named.is_symlink()) == ("another", 0o664, True)
 
 
+def test_a_file_of_two_names_keeps_both(tmp_path: Path) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    write_named(one, "a mission")
+    os.link(one, other)
+    write_named(one, "another")
+    assert other.read_text() == "another"
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(OSError, match="loop"):
+        write_named(loop, "another")
+
+
 def test_a_device_and_a_pipe_are_written_to(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     for path in (Path(f"/dev/fd/{writer}"), Path(os.devnull)):

@@ -214,6 +214,8 @@ class CompanionControl:
         """Have the companion begin control, or change its mode."""
         if (why := self.down_reason()) is not None:
             return Outcome.refused(why)
+        if self._handed_over is not None:  # a companion that waited for its end would know of no later order
+            return Outcome.refused(f"another order takes over: {self._handed_over[1]}; it has had no outcome yet")
         self.lock = self.lock if self._flies() else None
         if (lock := self._locked()) is None:
             return Outcome.refused("the fleet has no origin yet: set [origin], or `skygcs-cli origin from`")
@@ -251,7 +253,7 @@ class CompanionControl:
     def keep(self, why: str) -> None:
         """The companion is told, and reports what it does then."""
         if self._handed_over is not None:
-            self._tasks.start(self._keep(self._handed_over, why), "keep")
+            self._tasks.start(self._keep(self._handed_over, next(self._numbers), why), "keep")
 
     def why_not_to(self, _place: GeodeticPosition) -> str | None:
         """Why the reference may not be moved there, as far as the ground knows; the companion has its own fence."""
@@ -427,7 +429,7 @@ class CompanionControl:
         return self.lock
 
     def _end(self, order: str, reason: str) -> None:
-        """Relay an order by which control ends, if there is any, and show it as ended at once."""
+        """Relay an order by which control ends, if it is flown by it, and show it as ended at once."""
         before = self._handed_over
         if before is None and self.controller.state is OffboardState.OFF and self._orders_of_entry == 0:
             return
@@ -438,8 +440,8 @@ class CompanionControl:
             self._publish(f"control ended: {reason}")
         self._tasks.start(self._relay(order, {"reason": reason}, number, start_s=RELEASE_S), order)
 
-    async def _keep(self, handed_over: tuple[int, str], why: str) -> None:
-        await self._relay("keep", {"reason": why}, start_s=RELEASE_S)
+    async def _keep(self, handed_over: tuple[int, str], number: int, why: str) -> None:
+        await self._relay("keep", {"reason": why}, number, start_s=RELEASE_S)
         if self._handed_over is handed_over:  # else a newer order has it handed over
             self._handed_over = None
 

@@ -212,9 +212,14 @@ class GroundOrders:
 
     def _forget_ground(self, actor: VehicleActor | None) -> None:
         """Another ground has the companion: the one before will not say how the order that takes over has ended."""
-        reason, self._handed_over = self._handed_over, None
-        if reason is not None and actor is not None and (engagement := _engagement(actor)).successor == reason:
-            engagement.keep("the ground that gave it is gone")
+        if actor is not None:
+            self._keep(_engagement(actor), "the ground that gave it is gone")
+        self._handed_over = None
+
+    def _keep(self, engagement: OffboardEngagement, why: str) -> None:
+        """The ground's order takes over no more; another order that does, as one of the companion's own, goes on."""
+        if self._handed_over is not None and engagement.successor == self._handed_over:
+            engagement.keep(why)
 
     def _actor(self) -> VehicleActor | None:
         return next((actor for actor in self._fleet.vehicles.values() if actor.name == self._vehicle), None)
@@ -260,6 +265,7 @@ class GroundOrders:
         match order:
             case "engage":
                 self._take_origin(wire.origin_from(given.get("origin")))
+                self._keep(engagement, "control is set anew")  # the ground sets it after the end of its hand-over
                 return await actor.control(str(given.get("mode")), force=given.get("force") is True)
             case "hand_over" | "taken_over" | "keep" | "release":
                 self._end(actor, engagement, order, f"the ground: {given.get('reason')}"[:200])
@@ -285,13 +291,13 @@ class GroundOrders:
 
     def _end(self, actor: VehicleActor, engagement: OffboardEngagement, order: str, reason: str) -> None:
         """The ground ends control, or hands it over to an order that it sends by MAVLink and says how that has ended.
-        The latter may have come before the former: each is enough."""
+        ``taken_over`` and ``keep`` may come before the hand-over, which is older then, and not admitted any more."""
         match order:
             case "hand_over":
                 self._handed_over = reason
                 engagement.hand_over(reason)
             case "keep":
-                engagement.keep(reason)
+                self._keep(engagement, reason)
             case _:
                 engagement.release(reason)
         if order == "taken_over":

@@ -211,7 +211,7 @@ def _up(args: argparse.Namespace) -> int:
 
 
 async def _serve_hub(hub: HubProcess) -> int:
-    """Run the hub until SIGINT or SIGTERM. Raises SkygcsError if it ends by itself."""
+    """Run the hub until one of `ending_signals`. Raises SkygcsError if it ends by itself."""
     from skygcs.ext.federation.bridge.hub_process import make_stores, own_tls
 
     loop = asyncio.get_running_loop()

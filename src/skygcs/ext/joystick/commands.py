@@ -323,6 +323,9 @@ class JoystickFlight:
         if self._engaging is not None:
             task, self._engaging = self._engaging, None
             task.cancel()
+        if not flying and not self._engage:  # it only asked whether it is flown
+            self._pending += self._session.on_stopped(True, "it was not flown yet: nothing is ordered")
+            return
         self.counts["stops"] += 1
         ok, message = True, ""
         if flying:

@@ -69,7 +69,7 @@ def with_environment(config: RosConfig, environment: Mapping[str, str]) -> RosCo
 
 
 async def serve_ros(options: Options) -> None:
-    """Run until SIGINT or SIGTERM; supervised also until the daemon has gone. Raises SkygcsError."""
+    """Run until one of `ending_signals`; supervised also until the daemon has gone. Raises SkygcsError."""
     config = with_environment(options.config, os.environ)
     limit_memory(MOST_MEMORY_BYTES)
     loop = asyncio.get_running_loop()

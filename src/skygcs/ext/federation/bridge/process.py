@@ -307,7 +307,7 @@ def _station_socket(daemon_address: str) -> Path:
 
 
 async def serve_federation(fleet: FleetConfig, options: FederationOptions) -> None:
-    """Run the process until SIGINT or SIGTERM."""
+    """Run the process until one of `ending_signals`."""
     process = FederationProcess(fleet, options)
     loop = asyncio.get_running_loop()
     for number in ending_signals():
