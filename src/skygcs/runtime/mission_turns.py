@@ -161,7 +161,7 @@ class MissionTurns:
             if taken and decision.next != "end":
                 self._report_end("; ".join(taken))
                 return False
-            if decision.next == "start" and any(a.runner.ledger.moving for a in left):
+            if decision.next == "start" and any(a.runner.ledger.in_progress for a in left):
                 continue  # what is being sent to one of them may be refused
             match decision.next:
                 case "start":

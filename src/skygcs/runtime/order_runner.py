@@ -158,7 +158,7 @@ class OrderRunner:
         """Note that an order is asked for which does not go out at once. ``serial``: None: that of the present task,
         or, in an order of the daemon's own, that of the last order so far."""
         vehicle = self._vehicle
-        changing = self.ledger.moving > 0 or reports_takeoff(vehicle, self._loop.time())
+        changing = self.ledger.in_progress > 0 or reports_takeoff(vehicle, self._loop.time())
         serial = (ORDER_SERIAL.get() or self.ledger.effective_serial) if serial is None else serial
         return Asked(serial, None if changing else vehicle.custom_mode, self.ledger.number)
 
@@ -239,7 +239,7 @@ class OrderRunner:
         if not self.ledger.knows(number):
             unknown = f"it has no order {number} of this run of skygcs; without a number hold ends whatever moves it"
             return self._outcomes.finish(order, Outcome.refused(unknown))
-        while self.ledger.moving or self._waiting:
+        while self.ledger.in_progress or self._waiting:
             self._order_ended.clear()
             await self._order_ended.wait()
         if self.ledger.effective > number:

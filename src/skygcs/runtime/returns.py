@@ -350,7 +350,7 @@ class Returns:
         actor, vehicle, ledger = waits.actor, waits.actor.vehicle, waits.actor.runner.ledger
         if not vehicle.connected:
             return False
-        if actor.order_number != waits.order_number and ledger.moving:
+        if actor.order_number != waits.order_number and ledger.in_progress:
             return False  # that may be refused
         if ledger.effective > waits.order_number and ledger.effective_serial > waits.serial:
             text = f"it does not wait any more to return: it was ordered something else ({ledger.effective_order})"
@@ -397,7 +397,7 @@ class Returns:
         """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`."""
         key, vehicle = actor.vehicle.key, actor.vehicle
         left = now - self._left_at.get(key, -math.inf) < TAKES_S or self._leaves(actor)
-        comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.sends in LANDS
+        comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
         return is_flying(vehicle, now) and key not in self._staying and comes
 
     async def _decide(self, free: Sequence[VehicleActor]) -> Departures:
@@ -610,7 +610,7 @@ class Returns:
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
             None if waits is None else waits.goal_m,
-            lands=vehicle.mode in LANDING or actor.runner.ledger.sends in LANDS,
+            lands=vehicle.mode in LANDING or actor.runner.ledger.newest_in_progress in LANDS,
         )
         self._seen[vehicle.key] = one, at
         return one

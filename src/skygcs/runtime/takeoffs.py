@@ -103,7 +103,7 @@ class Takeoffs:
     async def _follow(self, watch: TakeoffWatch, number: int, control_mode: str) -> None:
         try:
             # while another order is being sent, which it may refuse, nothing is judged
-            while self._orders.ledger.moving or (verdict := watch.look(self._loop.time())) == "climbs":
+            while self._orders.ledger.in_progress or (verdict := watch.look(self._loop.time())) == "climbs":
                 await asyncio.sleep(LOOK_S)
                 if self._orders.ledger.effective > number:
                     return  # another order came: what it wants is flown

@@ -74,7 +74,7 @@ class UnattendedHolds:
 
     def tick(self, now: float, site: str | None) -> None:
         """Look, and order it to hold if nobody flies it. ``site``: why another site may command it; None: none may."""
-        facts = watched(self._vehicle, self._flown_by(now, site), now, ordered=self._orders.ledger.moving > 0)
+        facts = watched(self._vehicle, self._flown_by(now, site), now, ordered=self._orders.ledger.in_progress > 0)
         effect = self.watch.tick(facts, now)
         if effect is None:
             return

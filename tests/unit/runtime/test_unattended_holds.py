@@ -118,7 +118,7 @@ async def test_one_that_nobody_flies_any_more_is_ordered_to_hold_once(elsewhere:
 async def test_who_may_fly_it_or_what_is_not_known_leaves_it_alone(changed: dict[str, Any], held: bool) -> None:
     rig = Rig()
     await rig.flown()
-    rig.orders.ledger.moving = changed.get("moving", 0)
+    rig.orders.ledger.in_progress = changed.get("moving", 0)
     rig.silent_s = changed.get("silent_s", 0.0)
     rig.vehicle.connected = "lost" not in changed
     rig.vehicle.mode = changed.get("mode", "GUIDED")

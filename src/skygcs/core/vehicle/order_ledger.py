@@ -83,12 +83,12 @@ class OrderLedger:
         self.effective_serial = max(self.effective_serial, serial)
 
     @property
-    def moving(self) -> int:
+    def in_progress(self) -> int:
         """How many are in progress."""
         return len(self._in_progress)
 
     @property
-    def sends(self) -> str:
+    def newest_in_progress(self) -> str:
         """Name of the newest order while it is in progress; empty: it is not."""
         newest = self._in_progress.get(self.number)
         return "" if newest is None else newest.order

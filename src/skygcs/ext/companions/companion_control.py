@@ -569,8 +569,8 @@ class CompanionControl:
             self._orders_of_entry -= order == "engage"
 
     async def _asked(self, relayed: RelayedOrder, params: Json, began: float) -> Outcome:
-        """Ask with the same number until there is an answer, or patience is over. Whether it has begun control is still
-        asked once a pilot has the vehicle, but not that it begins: its deadline is over then."""
+        """Ask with the same number until there is an answer, or patience is over. Once a pilot has the vehicle, only
+        whether control has begun is asked: the companion does not begin it any more, as its deadline is over."""
         why, taken = "no answer came", None
         were_in = hands(self._vehicle, began)
         while True:

@@ -74,7 +74,7 @@ class OrderBook:
         self.ground: str | None = None
         """The run of the ground's daemon that has the companion."""
         self.newest_moving = 0
-        """The highest number of an order that was carried out and moves the vehicle."""
+        """The highest number of an admitted order that moves the vehicle."""
         self.newest_setpoint = 0
         """The highest number of a setpoint of a stream that came."""
         self.contact_at = -math.inf

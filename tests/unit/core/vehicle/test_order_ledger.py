@@ -44,10 +44,10 @@ def test_an_order_that_is_refused_counts_while_it_is_in_progress_only() -> None:
     ledger.ended(ledger.begins("goto", 5, ends_flight=False), DONE)
     assert (ledger.effective, ledger.effective_order, ledger.effective_serial) == (FIRST + 1, "goto", 5)
     number = ledger.begins("land", 6, ends_flight=True)
-    assert (ledger.moving, ledger.sends, number) == (1, "land", ledger.number)
+    assert (ledger.in_progress, ledger.newest_in_progress, number) == (1, "land", ledger.number)
     assert ledger.is_behind(5) and not ledger.is_behind(6) and ledger.knows(number)
     ledger.ended(number, DENIED)
-    assert (ledger.moving, ledger.sends, ledger.number) == (0, "", FIRST + 2)
+    assert (ledger.in_progress, ledger.newest_in_progress, ledger.number) == (0, "", FIRST + 2)
     assert (ledger.effective, ledger.effective_order, ledger.effective_serial) == (FIRST + 1, "goto", 5)
     assert not ledger.is_behind(5)
 
@@ -57,7 +57,7 @@ def test_an_older_order_that_ends_later_does_not_take_the_place_of_a_newer_one()
     older = ledger.begins("mode", 8, ends_flight=False)
     newer = ledger.begins("hold", 7, ends_flight=True)
     ledger.ended(newer, LOST)
-    assert ledger.sends == "", "the one in progress is not the newest"
+    assert ledger.newest_in_progress == "", "the one in progress is not the newest"
     ledger.ended(older, None)
     assert (ledger.effective, ledger.effective_order) == (newer, "hold")
     assert ledger.effective_serial == 8, "though it was asked for later"
@@ -125,7 +125,7 @@ def test_by_whatever_interleaving_the_effective_order_is_the_newest_that_was_not
     took, waiting = [(0, 0)], list[tuple[int, int, Outcome | None]]()
     for serial, outcome, waits in orders:
         waiting.append((ledger.begins("mode", serial, ends_flight=False), serial, outcome))
-        assert ledger.moving == len(waiting)
+        assert ledger.in_progress == len(waiting)
         assert ledger.is_behind(0) is any(s > 0 for _, s in (*took, *((n, s) for n, s, _ in waiting)))
         while waiting and not waits:
             number, of, ends = waiting.pop(0)
