@@ -55,7 +55,7 @@ class Rig:
         self.ordered: list[str] = []
         self.outcomes: list[Outcome] = []
         self.orders: Any = SimpleNamespace(
-            ledger=SimpleNamespace(moving=0),
+            ledger=SimpleNamespace(in_progress=0),
             attempt=self._attempt("attempt"),
             attempt_in_control=self._attempt("in control"),
         )
