@@ -20,7 +20,6 @@ pytestmark = pytest.mark.system
 PROGRAMS = {
     "README.md": 0,
     "docs/howto/clients.md": 0,
-    "docs/reference/rpc.md": 0,
     "docs/howto/fly-setpoints.md": 0,
 }
 """Page -> which of its Python examples is a whole program for a daemon."""
@@ -98,14 +97,6 @@ def test_the_first_program_takes_off_and_prints_heights(page: str, daemon: Daemo
         process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=HANG_S)
     assert re.search(r"^alpha \d", out, re.M) and re.search(r"^bravo \d", out, re.M), out
-
-
-def test_the_program_of_the_rpc_page_takes_off_and_lands(daemon: DaemonProcess) -> None:
-    (program,) = python_blocks("docs/reference/rpc.md")
-    process = start(program, daemon)
-    _, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == 0, err
-    assert daemon.vehicles()["alpha"]["mode"] == "AUTO.LAND"
 
 
 def test_the_circle_is_flown(daemon: DaemonProcess) -> None:

@@ -36,7 +36,6 @@ PAGES_RUN = (
     "docs/howto/parameters.md",
     "docs/howto/preflight.md",
     "docs/howto/radio.md",
-    "docs/reference/cli.md",
     "docs/reference/gains.md",
     "docs/tutorial/first-flight.md",
 )
