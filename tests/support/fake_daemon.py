@@ -93,7 +93,7 @@ class FakeVehicle:
         self.metadata: Any = None
         self.missions = FakeMissions()
         self.missions.fetch = self._fetched
-        self.runner = SimpleNamespace(finish=lambda order, outcome: outcome)
+        self.outcomes = SimpleNamespace(finish=lambda order, outcome: outcome)
         self.stored_plan = MissionPlan()
         self.fence: dict[str, Any] = {
             "enabled": True,

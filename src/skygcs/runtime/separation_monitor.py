@@ -71,7 +71,7 @@ class Destination(NamedTuple):
     mode: str | None
     """None: the order is still on its way."""
     serial: int
-    """Of the order: it is this one in whatever form it is kept."""
+    """Serial of the order, by which it is known in whatever form it is kept."""
     before: Destination | None = None
     """Where it flies if this order fails."""
 
