@@ -66,7 +66,7 @@ def test_altered_timing_is_written_and_a_second_air_speed_is_added(tmp_path: Pat
     assert f"AIR_SPEED 64 -> {file}" in said
     found = read_timings(file)
     assert list(found) == [64, 125] and found[125].slot_s == 0.04
-    assert found[64].slot_s == pytest.approx(0.1, rel=0.15)  # a busy computer shortens what it is emulated with
+    assert 0.08 < found[64].slot_s < 0.16  # how much of the round is slot shows only on an idle computer
     assert found[64].round_s(2) == pytest.approx(0.23, rel=0.15)
     assert found[64].slot_bytes == pytest.approx(504, rel=0.05)
     assert found[64].source.startswith("measured on 20")
