@@ -31,7 +31,7 @@ DENIED: dict[str, tuple[str, dict[str, Any]]] = {
 
 @dataclass
 class StationInTheLoop:
-    """What a joystick calls, without a socket."""
+    """The methods that a joystick calls, without a socket."""
 
     gcs: Flown
 

@@ -349,7 +349,7 @@ async def test_a_landing_that_comes_before_the_heartbeat_shows_the_arming_brings
 
 
 def armings(gcs: Flown, since: float, name: str) -> list[float]:
-    """Of each command to arm or to disarm that was sent to it since then: 1 or 0."""
+    """The commands that were sent to it since then: 1 for each that arms, 0 for each that disarms."""
     ids = [c for c in gcs.commands(since - 1e-6, name) if c.values["command"] == mav_cmd.COMPONENT_ARM_DISARM]
     return [c.values["param1"] for c in ids]
 

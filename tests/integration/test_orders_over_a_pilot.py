@@ -72,7 +72,7 @@ async def test_a_step_that_follows_is_not_sent_to_him(tmp_path: Path) -> None:
 
 @each(("by_person", "ends_in"), [(True, "GUIDED"), (False, "LOITER")])
 async def test_a_hold_of_our_own_is_not_repeated_to_him(tmp_path: Path, by_person: bool, ends_in: str) -> None:
-    """Of the watch for the unattended, as control was ended: it took the vehicle back from its pilot."""
+    """The watch for the unattended held it after the end of control, and so took it back from its pilot."""
     async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
         await gcs.fly("velocity")
         await asyncio.sleep(5.0)

@@ -123,15 +123,20 @@ async def test_one_that_its_pilot_takes_while_a_plan_is_certified_anew_is_left_t
         await left_to_pilot(gcs, since)
 
 
+async def fly_to_the_end(gcs: Flown) -> None:
+    """A plan of v1 and v2 has been flown, and they hold at its goals."""
+    starts = {name: gcs.place(name) for name in ("v1", "v2")}
+    await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
+    await gcs.until(lambda: state(gcs) == "finished", 120.0)
+
+
 @pytest.mark.parametrize("kind", [{"px4": 0, "ardupilot": 2}])
 async def test_a_landing_leaves_him_the_one_that_he_has_taken_since_the_end(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     """The plan was over, so nobody looked: his vehicle was landed."""
     async with flown(tmp_path, **kind) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
-        await gcs.until(lambda: state(gcs) == "finished", 120.0)
+        await fly_to_the_end(gcs)
         gcs.other_sets_mode(COPTER_LOITER, sysid=2)
         await gcs.until(lambda: gcs.actor("v2").vehicle.mode == "LOITER", 10.0)
         since = gcs.now
@@ -145,15 +150,13 @@ async def test_a_landing_leaves_him_the_one_that_he_has_taken_since_the_end(
 async def test_a_landing_that_is_aborted_holds(tmp_path: Path, kind: dict[str, int]) -> None:
     """LAND was taken for a mode that the plan had not set: it answered ok, and they went on down."""
     async with flown(tmp_path, **kind) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
-        await gcs.until(lambda: state(gcs) == "finished", 120.0)
+        await fly_to_the_end(gcs)
         await gcs("plan.land", force=True)
         await gcs.until(lambda: all(sim.motion.up_m < UP_M - 2.0 for sim in gcs.sims), 60.0)
         assert (await gcs("plan.abort"))["ok"]
         await gcs.until(lambda: state(gcs) == "aborted", 20.0)
         await asyncio.sleep(10.0)
-        assert all(gcs.actor(name).vehicle.armed and gcs.place(name)[2] > 3.0 for name in starts)
+        assert all(gcs.actor(name).vehicle.armed and gcs.place(name)[2] > 3.0 for name in ("v1", "v2"))
         await gcs("plan.land", force=True)
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
 
@@ -161,9 +164,7 @@ async def test_a_landing_that_is_aborted_holds(tmp_path: Path, kind: dict[str, i
 @pytest.mark.parametrize("kind", [{"px4": 0, "ardupilot": 2}])
 async def test_one_that_he_takes_before_its_round_is_not_landed(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
-        await gcs.until(lambda: state(gcs) == "finished", 120.0)
+        await fly_to_the_end(gcs)
         flight = plans_of(gcs.daemon).runner.flight
         assert flight is not None
         real = flight.execution.landing
@@ -182,9 +183,7 @@ async def test_a_landing_takes_along_one_that_its_failsafe_switched_to_sticks_th
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
     async with flown(tmp_path, **kind) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
-        await gcs.until(lambda: state(gcs) == "finished", 120.0)
+        await fly_to_the_end(gcs)
         await asyncio.sleep(5.0)
         gcs.sim("v2").mode = CopterMode.ALT_HOLD
         await gcs.until(lambda: gcs.actor("v2").vehicle.mode == "ALT_HOLD", 10.0)

@@ -25,13 +25,13 @@ Clock = Callable[[], float]
 
 
 class GateLink:
-    """In the place of the connection to a daemon: a real gate."""
+    """A real gate in place of the connection to a daemon."""
 
     def __init__(self, site: str, vehicles: Iterable[str], clock: Callable[[], float]) -> None:
         self.gate = Authority(site, {name: i for i, name in enumerate(vehicles)})
         self.client: object | None = None
         self.control: dict[str, str] | None = {"state": "flying"}
-        """Of each vehicle. Who flies one by setpoints does not hand it over."""
+        """State of control of each vehicle. A site that flies one by setpoints does not hand it over."""
         self._clock = clock
         self._observers: list[Callable[[], None]] = []
 

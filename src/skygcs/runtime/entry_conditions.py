@@ -44,7 +44,7 @@ class EntryConditions:
         refusal = refusal or offboard_entry.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
-        if refusal is None and not active and self._is_led_by_another(now):
+        if refusal is None and not active and self._follows_setpoints() and now >= self.ours_until:
             refusal = f"it is in {self._vehicle.mode} already: another program sends it setpoints; end that first"
         if refusal is None:
             refusal = self._outside_now()
@@ -74,12 +74,11 @@ class EntryConditions:
 
     def shows_ours(self, now: float) -> bool:
         """True if the mode that it shows may yet be that of our own setpoints, which have ended."""
-        return now < self.ours_until and self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
+        return self._follows_setpoints() and now < self.ours_until
 
-    def _is_led_by_another(self, now: float) -> bool:
+    def _follows_setpoints(self) -> bool:
         """PX4 is in OFFBOARD only while setpoints come, and obeys each of two streams in turn. GUIDED shows nothing."""
-        following = self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
-        return following and not self.shows_ours(now)
+        return self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
 
     def _outside_now(self) -> str | None:
         """Why it is outside the control fence; None if it is inside, or where it is is not known."""

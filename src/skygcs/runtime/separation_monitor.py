@@ -30,7 +30,7 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     takeoff_conflict,
 )
-from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, is_bound_for
+from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
 from skygcs.core.separation import Footprint, pair_margin
@@ -207,9 +207,10 @@ class SeparationMonitor:
         key = actor.vehicle.key
         taken = ok and actor.runner.ledger.effective <= sent.order_number
         known = self._destinations.get(key)
-        before = sent.before if known is None or known.serial != sent.serial else known.before
+        newest = known is not None and known.serial == sent.serial
+        before = known.before if known is not None and newest else sent.before
         now = sent._replace(mode=actor.vehicle.mode, before=None) if taken else None if ok else before
-        if known is not None and known.serial == sent.serial:
+        if newest:
             del self._destinations[key]
             if now is not None:
                 self._destinations[key] = now
@@ -403,7 +404,7 @@ class SeparationMonitor:
         goal_m = None if destination is None or frame is None else frame.from_geodetic(*destination)
         if goal_m is None or track.parked or track.lost:
             yield Other(track)
-        elif not is_bound_for(track, track.velocity_mps, goal_m) and math.dist(track.place_m, goal_m) > track.circle_m:
+        elif way_to(track, track.velocity_mps, goal_m) is None and math.dist(track.place_m, goal_m) > track.circle_m:
             yield Other(track, stays_yet=True)
         if destination is not None:
             yield Other(track, destination)

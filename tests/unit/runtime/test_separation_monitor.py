@@ -161,18 +161,24 @@ async def mission_meets(sky: Sky, vehicle: WatchedVehicle, east_m: float) -> boo
     return actor in await sky.monitor.mission_refusals({actor: MissionRun([there])})
 
 
-async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unknown_place() -> None:
-    """As goto and take-off: it may be on any side of the middle of its circle."""
-    sky = Sky(2)
+async def seen(sky: Sky, *, mode: int, vel_enu_mps: tuple[float, float, float]) -> None:
+    """The first vehicle is a plane in this mode, the second one a copter 400 m west of it; the monitor knows both."""
     plane, copter = sky.vehicles
     for _ in range(4):
         now = sky.loop.time()
-        plane.heartbeat(now, kind=1, mode=12)
-        plane.position(now, (0.0, 0.0, 50.0), (12.0, 0.0, 0.0))
+        plane.heartbeat(now, kind=1, mode=mode)
+        plane.position(now, (0.0, 0.0, 50.0), vel_enu_mps)
         copter.heartbeat(now)
         copter.position(now, (-400.0, 0.0, 50.0))
         await sky.monitor.evaluate()
         await asyncio.sleep(0.5)
+
+
+async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unknown_place() -> None:
+    """As goto and take-off: it may be on any side of the middle of its circle."""
+    sky = Sky(2)
+    _, copter = sky.vehicles
+    await seen(sky, mode=12, vel_enu_mps=(12.0, 0.0, 0.0))
     assert [await mission_meets(sky, copter, away_m) for away_m in (-60.0, -130.0, -170.0)] == [True, True, False]
     sky.fleet.close()
 
@@ -182,14 +188,7 @@ async def test_a_plane_that_circles_where_it_was_sent_counts_there_alone() -> No
     sky = Sky(2)
     plane, copter = sky.vehicles
     frame = EnuFrame(ORIGIN)
-    for _ in range(4):
-        now = sky.loop.time()
-        plane.heartbeat(now, kind=1, mode=15)
-        plane.position(now, (0.0, 0.0, 50.0), (0.0, 12.0, 0.0))
-        copter.heartbeat(now)
-        copter.position(now, (-400.0, 0.0, 50.0))
-        await sky.monitor.evaluate()
-        await asyncio.sleep(0.5)
+    await seen(sky, mode=15, vel_enu_mps=(0.0, 12.0, 0.0))
     actor = sky.fleet.vehicles[plane.vehicle.key]
     circle_m = actor.vehicle.hold_reach_m(sky.loop.time())
     sky.monitor.arriving(actor, sky.monitor.sent_to(actor, frame.to_geodetic(circle_m - 5.0, 0.0, 50.0)), ok=True)

@@ -1,4 +1,4 @@
-"""What was left to be undone, as the RPC shows it."""
+"""The list of changes that can be undone, as the RPC shows it."""
 
 from __future__ import annotations
 

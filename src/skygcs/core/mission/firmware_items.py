@@ -378,7 +378,7 @@ PX4_RENAMES: Mapping[int, int] = {mav_cmd.NAV_ROI: mav_cmd.DO_SET_ROI}
 """Commands that a PX4 reports by another number."""
 
 ROUNDED = 1e-3
-"""A half-precision float is off by half of it."""
+"""Relative error that "~" allows: twice that of a half-precision float."""
 
 _ALTERED: Mapping[str, Callable[[float], float]] = {
     "-": lambda value: 0.0,
@@ -498,10 +498,9 @@ def _same_param(alters: str, sent: float | None, kept: float | None) -> bool:
     value = sent or 0.0
     if alters == "j":
         return kept == value % 65536
-    if alters in "w~" and kept in (0.0, float(int(value)), min(255.0, float(int(value)))):
-        return True
     if alters in "w~":
-        return alters == "~" and abs(kept - value) <= max(ALTITUDE_GRID_M, ROUNDED * abs(value))
+        rounded = alters == "~" and abs(kept - value) <= max(ALTITUDE_GRID_M, ROUNDED * abs(value))
+        return rounded or kept in (0.0, float(int(value)), min(255.0, float(int(value))))
     return kept == _ALTERED[alters](value)
 
 

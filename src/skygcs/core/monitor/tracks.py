@@ -239,19 +239,23 @@ def path_of(track: Track, velocity: Vector) -> tuple[tuple[Piece, ...], bool]:
     if track.circle_m:
         turn = track.turn_radps()
         return (arc(velocity, turn, ARC_S), True) if turn else (straight_on, False)
-    if goal_m is None or not is_bound_for(track, velocity, goal_m):
-        return straight_on, False
-    x, y, z = (goal - here for goal, here in zip(goal_m, track.place_m, strict=True))
-    after_s = math.hypot(x, y, z) / math.hypot(*velocity)
-    return (Piece(after_s, (x / after_s, y / after_s, z / after_s)),), True
+    way = None if goal_m is None else way_to(track, velocity, goal_m)
+    return (straight_on, False) if way is None else ((way,), True)
 
 
-def is_bound_for(track: Track, velocity: Vector, goal_m: Vector) -> bool:
-    """True if this velocity leads it to a goal; both in the common frame."""
-    way = tuple(goal - here for goal, here in zip(goal_m, track.place_m, strict=True))
-    along = sum(w * v for w, v in zip(way, velocity, strict=True))
-    speed_mps, away_m = math.hypot(*velocity), math.hypot(*way)
-    return speed_mps >= LEAST_SPEED_MPS and away_m > 0.0 and along >= TOWARDS * away_m * speed_mps
+def way_to(track: Track, velocity: Vector, goal_m: Vector) -> Piece | None:
+    """Its way to a goal with this velocity, both in the common frame; None: the velocity does not lead it there."""
+    speed_mps = math.hypot(*velocity)
+    if speed_mps < LEAST_SPEED_MPS:
+        return None
+    here = track.place_m
+    way = (goal_m[0] - here[0], goal_m[1] - here[1], goal_m[2] - here[2])
+    away_m = math.hypot(*way)
+    along = way[0] * velocity[0] + way[1] * velocity[1] + way[2] * velocity[2]
+    if along < TOWARDS * away_m * speed_mps or away_m == 0.0:
+        return None
+    share = speed_mps / away_m
+    return Piece(away_m / speed_mps, (way[0] * share, way[1] * share, way[2] * share))
 
 
 def follows(track: Track, points: Sequence[Vector]) -> bool:

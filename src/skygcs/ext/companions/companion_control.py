@@ -246,12 +246,12 @@ class CompanionControl:
         return self.controller.session is not None
 
     def taken_over(self) -> None:
-        """The companion is told: it sees it by itself only where the order's mode does not follow setpoints."""
+        """Report it to the companion, which sees it by itself only where the order's mode does not follow setpoints."""
         if self._handed_over is not None:
             self._end("taken_over", self._handed_over[1])
 
     def keep(self, why: str) -> None:
-        """The companion is told, and reports what it does then."""
+        """Report it to the companion, whose next report shows what it does then."""
         if self._handed_over is not None:
             self._tasks.start(self._keep(self._handed_over, next(self._numbers), why), "keep")
 

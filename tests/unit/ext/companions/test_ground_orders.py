@@ -1,4 +1,4 @@
-"""What becomes of the orders of one ground when another one gets the companion."""
+"""The orders of one ground end, or go on, when another one gets the companion."""
 
 from __future__ import annotations
 
