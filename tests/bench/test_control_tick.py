@@ -164,7 +164,7 @@ class Whole:
         self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
         self.voice = Voice(1)
         commands = CommandClient((1, 1), (255, 25), dialect, self.hub.send, loop)
-        runner: Any = SimpleNamespace(execute=_nothing, attempt_in_control=_nothing)
+        runner: Any = SimpleNamespace(attempt_in_control=_nothing)
         self.offboard = OffboardEngagement(
             self.vehicle,
             VehicleConfig(name="v1", sysid=1, streams={}),

@@ -104,19 +104,16 @@ async def trajectory_start(context: Context, params: TrajectoryStartParams) -> J
     (docs/howto/fly-several.md#trajectories). All have to stay away from each other and from every other vehicle. The
     daemon flies it from then on, also without the client.
     """
-    return await numbered(_started(context, params))
-
-
-async def _started(context: Context, params: TrajectoryStartParams) -> JsonObject:
     fleet = context.services.fleet
     now = context.services.now()
     at_s = now + (1.0 if params.after_s is None else params.after_s) if params.at_s is None else params.at_s
     actors = fleet.resolve(params.targets)
-    if refused := await fleet.trajectories.prepare(actors):
-        return as_json(refused)
-    if params.force:
-        return as_json(fleet.trajectories.start(actors, at_s, params.speed))
-    return as_json(await fleet.trajectories.start_apart(actors, at_s, params.speed))
+    with numbered():
+        if refused := await fleet.trajectories.prepare(actors):
+            return as_json(refused)
+        if params.force:
+            return as_json(fleet.trajectories.start(actors, at_s, params.speed))
+        return as_json(await fleet.trajectories.start_apart(actors, at_s, params.speed))
 
 
 def trajectory_pause(context: Context, params: TargetsParams) -> JsonObject:

@@ -338,6 +338,11 @@ class CommandClient:
             more["clearance"] = clearance
         return self._send(info, addressed, sysid, compid, priority, **more)
 
+    def send(self, *message: Any, **how: Any) -> bool:
+        """Send a message as `SendFn`; False once this client is closed: whatever goes on then by what it decided before
+        has no other way to the vehicle."""
+        return self._send(*message, **how)
+
     def _address(self, info: MessageInfo) -> dict[str, int]:
         """The target fields that a message has; cached, because every setpoint needs them (0.4 us instead of 0.9 for
         all of `transmit`)."""

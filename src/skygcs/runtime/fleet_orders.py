@@ -4,7 +4,7 @@ outcomes by name."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
@@ -212,7 +212,7 @@ class FleetOrders:
         # the serial is made here, as what is carried on begins a turn of the loop later
         given = Given(order, ask(), reports or Unreported(), by_person)
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
-            return await self._command(actors, given, args, arguments)
+            return await self._give(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)
         return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
 
@@ -224,7 +224,7 @@ class FleetOrders:
         arguments: dict[str, Any],
         generation: int,
     ) -> dict[str, Outcome]:
-        """`_command` without its client, as a task of its own. Whatever ends it, who asked for it gets an answer."""
+        """`_give` without its client, as a task of its own. Whatever ends it, who asked for it gets an answer."""
         if generation != self._generation:
             given.ended_by = self._closed_by
             self._report_cancelled(actors, given)
@@ -233,7 +233,7 @@ class FleetOrders:
         assert task is not None
         self._begun[given] = task
         try:
-            return await self._command(actors, given, args, arguments)
+            return await self._give(actors, given, args, arguments)
         except asyncio.CancelledError:
             return given.all_outcomes(actors)
         finally:
@@ -273,20 +273,6 @@ class FleetOrders:
         why = self._links.authority_refusal(actor.sysid)
         return actor.setpoint(**setpoint) if why is None else Outcome.refused(why)
 
-    async def _command(
-        self, actors: list[Actor], given: Given, args: tuple[Any, ...], arguments: dict[str, Any]
-    ) -> dict[str, Outcome]:
-        given.reports.begun([actor.name for actor in actors])
-        try:
-            decided = await self._decide(actors, given, arguments)
-        except asyncio.CancelledError:
-            self._report_cancelled(actors, given)
-            raise
-        try:
-            return await self._give(actors, given, decided, args, arguments)
-        finally:
-            self._returning.run(decided.returning.values())
-
     async def _decide(self, actors: Sequence[Actor], given: Given, arguments: dict[str, Any]) -> Decided:
         """Decide what each vehicle is to do; takes out of ``arguments`` what is only for that. Nothing is sent yet."""
         order, vehicles = given.order, [actor for actor in actors if isinstance(actor, VehicleActor)]
@@ -312,9 +298,15 @@ class FleetOrders:
         return Decided(refusals, own_arguments, sent, returning)
 
     async def _give(
-        self, actors: list[Actor], given: Given, decided: Decided, args: tuple[Any, ...], arguments: dict[str, Any]
+        self, actors: list[Actor], given: Given, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
-        """Give the order as it was decided, and refuse it to those that do not get it."""
+        """Decide what each vehicle is to do, give the order, and refuse it to those that do not get it."""
+        given.reports.begun([actor.name for actor in actors])
+        try:
+            decided = await self._decide(actors, given, arguments)
+        except asyncio.CancelledError:
+            self._report_cancelled(actors, given)
+            raise
         order, refusals = given.order, decided.refusals
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
         for actor, reason in refusals.items():
@@ -332,8 +324,7 @@ class FleetOrders:
                     own = decided.own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
                     returns = decided.returning.get(actor) if isinstance(actor, VehicleActor) else None
                     work = self._guarded(actor, given, returns, args, {**arguments, **own})
-                    call = _reported(given, actor.name, work)
-                    tasks[actor] = group.create_task(call, name=f"{order.__name__} {actor.name}")
+                    tasks[actor] = group.create_task(work, name=f"{order.__name__} {actor.name}")
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
                     # if one was refused, or waits for the end of a newer order, each gets its own frame
@@ -345,6 +336,7 @@ class FleetOrders:
                 vehicle.commands.end_broadcast(broadcast)
             for actor, sent in decided.sent.items():
                 self._monitor.arriving(actor, sent, ok=actor in tasks and _succeeded(tasks[actor]))
+            self._returning.run(decided.returning.values())
         return {name: tasks[a].result() if a in tasks else given.outcomes[name] for a, name in names.items()}
 
     async def _guarded(
@@ -355,27 +347,27 @@ class FleetOrders:
         args: tuple[Any, ...],
         arguments: dict[str, Any],
     ) -> Outcome:
-        """Contain an internal fault in the order to one vehicle. ``returns``: it is one of several that return. To be
-        run as a task of its own; a newer order may have been sent between its making and its start."""
+        """Carry out the order to one vehicle and report its outcome, also of an internal fault, which ends no other.
+        ``returns``: it is one of several that return. To be run as a task of its own; a newer order may have been sent
+        between its making and its start."""
         order = given.order
         ORDER_SERIAL.set(given.serial)
         ASKED_NOW.set(given.by_person)
-        if isinstance(actor, VehicleActor):
-            late = self._late(order, {actor: Asked(given.serial)})
-            if actor in late:
-                refused: Outcome = _shaped(order, actor.refuse(order.__name__, late[actor]))
-                return refused
+        late = self._late(order, {actor: Asked(given.serial)}) if isinstance(actor, VehicleActor) else {}
         method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
+        outcome: Outcome
         try:
-            if returns is not None:
-                return await self._returning.carry_out(returns)
-            outcome: Outcome = await method(actor, *args, **arguments)
+            if late:
+                outcome = _shaped(order, actor.refuse(order.__name__, *late.values()))
+            elif returns is not None:
+                outcome = await self._returning.carry_out(returns)
+            else:
+                outcome = await method(actor, *args, **arguments)
         except Exception as error:
-            self._on_event(
-                Event("fault", actor.name, actor.sysid, f"{order.__name__} failed inside skygcs: {error!r}", {})
-            )
-            failed: Outcome = _shaped(order, Outcome(False, "failed", f"failed inside skygcs: {error!r}"))
-            return failed
+            why = f"failed inside skygcs: {error!r}"
+            self._on_event(Event("fault", actor.name, actor.sysid, f"{order.__name__} {why}", {}))
+            outcome = _shaped(order, Outcome(False, "failed", why))
+        given.ended(actor.name, outcome)
         return outcome
 
     async def _mission_refusals(
@@ -600,13 +592,6 @@ async def _in_turns(work: Generator[None, None, Made]) -> Made:
             made: Made = end.value
             return made
         await asyncio.sleep(0)
-
-
-async def _reported(given: Given, name: str, work: Awaitable[Outcome]) -> Outcome:
-    """Await the outcome of an order to one vehicle, and report it."""
-    outcome = await work
-    given.ended(name, outcome)
-    return outcome
 
 
 def _shaped(order: Order, outcome: Outcome) -> Any:

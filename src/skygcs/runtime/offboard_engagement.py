@@ -508,7 +508,7 @@ class OffboardEngagement:
             self._require_mode(back_to)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        outcome = await self._orders.execute(offboard_entry.enter(self._vehicle))
+        outcome = await self._orders.attempt_in_control(lambda now: offboard_entry.enter(self._vehicle))
         if self._turn != turn:
             return _superseded(0.0)
         if not outcome.ok:

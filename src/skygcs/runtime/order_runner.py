@@ -149,7 +149,8 @@ class OrderRunner:
         moves = order in MOVING
         self._waiting += moves
         try:
-            return await self._outcomes.track(order, numbered(self._tries(order, planner, wait_s)))
+            with numbered():
+                return await self._outcomes.track(order, self._tries(order, planner, wait_s))
         finally:
             self._waiting -= moves
             self._order_ended.set()
@@ -253,30 +254,27 @@ class OrderRunner:
         """Plan and execute once, without a report. An order that moves the vehicle takes over from its flight by
         setpoints, which ends for this ``reason`` (None: the order's name) once the order has taken effect. This is the
         gate of orders: each has a serial from here on, and one that comes too late is refused."""
-        return await numbered(self._attempt(planner, reason))
-
-    async def _attempt(self, planner: Planner, reason: str | None) -> Outcome:
-        before = self.hands()
-        try:
-            plan = planner(self._loop.time())
-            if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
-                late = await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
-                if late is not None:
-                    return Outcome.refused(late)
+        with numbered():
+            before = self.hands()
+            try:
                 plan = planner(self._loop.time())
-        except NotReadyError as error:
-            return Outcome(False, "temporarily_rejected", f"not ready: {error}")
-        except RefusedError as error:
-            return Outcome.refused(str(error))
-        if self._is_ambiguous(plan):
-            return duplicate_refusal(self._vehicle)
-        if (why := self._order_refusal(plan) or self._gate_refusal(plan)) is not None:
-            return Outcome.refused(why)
-        if plan.order in MOVING and self.flown_by is not None:
-            return await self._take_over(plan, self.flown_by, reason or f"{plan.order} was ordered")
-        return await self.execute(plan)
+                if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
+                    late = await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
+                    if late is not None:
+                        return Outcome.refused(late)
+                    plan = planner(self._loop.time())
+                if self._is_ambiguous(plan):
+                    return duplicate_refusal(self._vehicle)
+                clearance = self._clear(plan)
+            except NotReadyError as error:
+                return Outcome(False, "temporarily_rejected", f"not ready: {error}")
+            except RefusedError as error:
+                return Outcome.refused(str(error))
+            if plan.order in MOVING and self.flown_by is not None:
+                return await self._take_over(plan, clearance, self.flown_by, reason or f"{plan.order} was ordered")
+            return await self._execute(plan, clearance)
 
-    async def _take_over(self, plan: Plan, flown_by: FlownBySetpoints, reason: str) -> Outcome:
+    async def _take_over(self, plan: Plan, clearance: Clearance, flown_by: FlownBySetpoints, reason: str) -> Outcome:
         """Execute a plan while the flight by setpoints goes on, holding, until a step of it has taken effect; see
         `_took_effect`. If none has, it goes on holding: a vehicle that denies an order is still flown. A goto that is
         carried out in the present mode, as an ArduCopter's in GUIDED, takes over at once: a setpoint that came after it
@@ -287,7 +285,7 @@ class OrderRunner:
         if plan.order == "goto" and not self._changes_mode(plan):
             flown_by.taken_over()
         try:
-            outcome = await self.execute(plan)
+            outcome = await self._execute(plan, clearance)
         finally:
             if self.ledger.number == number:  # else the newer order has it handed over
                 if outcome is not None and outcome.ok:
@@ -303,35 +301,34 @@ class OrderRunner:
 
     async def attempt_in_control(self, planner: Planner) -> Outcome:
         """An attempt by flight control itself, which does not end control."""
-        return await numbered(self._attempt_in_control(planner), lambda: OWN)
+        with numbered(lambda: OWN):
+            try:
+                plan = planner(self._loop.time())
+                clearance = self._clear(plan)
+            except RefusedError as error:
+                return Outcome.refused(str(error))
+            return await self._execute(plan, clearance)
 
-    async def _attempt_in_control(self, planner: Planner) -> Outcome:
-        try:
-            plan = planner(self._loop.time())
-        except RefusedError as error:
-            return Outcome.refused(str(error))
+    def _clear(self, plan: Plan) -> Clearance:
+        """The leave of the outgoing gate for a plan now. Raises RefusedError, also where an extension objects."""
         if (why := self._order_refusal(plan)) is not None:
-            return Outcome.refused(why)
-        return await self.execute(plan)
+            raise RefusedError(why)
+        return clear_plan(model_of(self._vehicle, self._loop.time()), plan)
 
-    async def execute(self, plan: Plan) -> Outcome:
+    async def _execute(self, plan: Plan, clearance: Clearance) -> Outcome:
         """Execute a plan; what was done is undone if a later step fails and the done steps can be undone.
 
         If its caller is cancelled, or `wind_down` is called, during a step that only prepares later ones (arming for a
         take-off), that step is undone. Once the last step has begun nothing is undone: the vehicle may be flying by it.
         """
-        try:
-            clearance = self._clear(plan)
-        except RefusedError as error:
-            return Outcome.refused(str(error))
         if plan.order not in MOVING:
-            return await self._execute(plan, clearance)
+            return await self._finish_or_undo(plan, clearance)
         self._newest, mode, ends_flight = plan, self._vehicle.custom_mode, plan.order in ENDING
         self._commands.supersede(_commands(plan), ends_flight=ends_flight)
         number = self.ledger.begins(plan.order, ORDER_SERIAL.get() or OWN, ends_flight=ends_flight)
         ended: Outcome | None = None
         try:
-            ended = await self._execute(plan, clearance)
+            ended = await self._finish_or_undo(plan, clearance)
         finally:
             self.ledger.ended(number, ended)
             self._order_ended.set()
@@ -340,19 +337,8 @@ class OrderRunner:
             self.on_carried_out(plan)
         return outcome
 
-    def _clear(self, plan: Plan) -> Clearance:
-        """The leave of the outgoing gate for a plan now. Raises RefusedError."""
-        return clear_plan(model_of(self._vehicle, self._loop.time()), plan)
-
-    def _gate_refusal(self, plan: Plan) -> str | None:
-        """Why the outgoing gate lets nothing of a plan pass now; None: it may be sent."""
-        try:
-            self._clear(plan)
-        except RefusedError as error:
-            return str(error)
-        return None
-
-    async def _execute(self, plan: Plan, clearance: Clearance) -> Outcome:
+    async def _finish_or_undo(self, plan: Plan, clearance: Clearance) -> Outcome:
+        """Carry out the steps of a plan; those that can be undone in a task of their own, which outlives the caller."""
         run = _PlanInProgress(plan, self.ledger.number, clearance, self.hands())
         if all(step.undo is None for step in plan.steps[:-1]):
             return await self._steps(run)
@@ -408,7 +394,7 @@ class OrderRunner:
             if self._known_unsupported(step, plan):
                 queue[:0] = step.instead
                 continue
-            outcome = await self._persist(step, plan, run)
+            outcome = await self._persist(step, run)
             # ended by its caller or by the shutdown meanwhile
             if run.ended() and number == self.ledger.number:
                 done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
@@ -465,15 +451,15 @@ class OrderRunner:
         answers = model_of(self._vehicle, self._loop.time()).answers
         return answers.get(step.command.command) == UNSUPPORTED
 
-    async def _persist(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
+    async def _persist(self, step: Step, run: _PlanInProgress) -> Outcome:
         """Execute one step; if the plan persists, repeat it while no answer comes, as it may not have been received."""
-        started, attempts = self._loop.time(), 0
+        plan, started, attempts = run.plan, self._loop.time(), 0
         while True:
-            outcome = await self._step(step, plan, run)
+            outcome = await self._step(step, run)
             if plan.order in MOVING and plan.order != "goto":
                 self.sent_before_at = self._loop.time()
             if outcome.ok and step.proof is not None:
-                outcome = await self._proved(step, step.proof, plan, run, outcome)
+                outcome = await self._proved(step, step.proof, run, outcome)
             attempts += outcome.attempts
             elapsed_s = self._loop.time() - started
             newer = run.number != self.ledger.number and not plan.final
@@ -481,10 +467,10 @@ class OrderRunner:
                 return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
             self._outcomes.report_progress(plan.order, None)
 
-    async def _step(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
+    async def _step(self, step: Step, run: _PlanInProgress) -> Outcome:
         """Send the command of a step, or its message, and wait until the vehicle shows the result."""
         # why it is not sent
-        number, expect = run.number, step.expect
+        plan, number, expect = run.plan, run.number, step.expect
         if self._is_ambiguous(plan):
             return duplicate_refusal(self._vehicle)
         if (why := self._order_refusal(plan)) is not None:
@@ -565,9 +551,7 @@ class OrderRunner:
             self.ledger.arming_ended(self._loop.time(), outcomes[-1])
             vehicle.arming_at, vehicle.arming_until = self.ledger.arming
 
-    async def _proved(
-        self, step: Step, proof: TargetProof, plan: Plan, run: _PlanInProgress, accepted: Outcome
-    ) -> Outcome:
+    async def _proved(self, step: Step, proof: TargetProof, run: _PlanInProgress, accepted: Outcome) -> Outcome:
         """See that the vehicle does what it accepted; the step is repeated while it does not. If a newer order comes
         meanwhile, or the daemon ends, the outcome stays that it was accepted. A vehicle that left the mode meanwhile
         is not sent there again."""
@@ -592,8 +576,8 @@ class OrderRunner:
                 text = f"timeout: accepted, but {f'it is in {self._vehicle.mode} now' if left_mode else why}"
                 return replace(accepted, ok=False, result="timeout", message=text, attempts=attempts)
             # send it again
-            self._outcomes.report_progress(plan.order, None)
-            repeated = await self._step(again, plan, run)
+            self._outcomes.report_progress(run.plan.order, None)
+            repeated = await self._step(again, run)
             attempts += repeated.attempts
             if not repeated.ok:
                 return accepted if newer() else replace(repeated, attempts=attempts)
@@ -675,7 +659,7 @@ class OrderRunner:
             clearance = clear_undo(model_of(self._vehicle, self._loop.time()), run.plan.order, undo)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return await self._step(undo, run.plan, _PlanInProgress(run.plan, run.number, clearance, self.hands()))
+        return await self._step(undo, _PlanInProgress(run.plan, run.number, clearance, self.hands()))
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """The attempts of `retry`."""

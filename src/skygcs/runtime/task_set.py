@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from typing import Any, NamedTuple, TypeVar
 
@@ -45,12 +45,19 @@ def ask() -> int:
 
 @contextmanager
 def carrying_out(serial: int) -> Iterator[None]:
-    """Carry out the order of this serial in a block that does not wait."""
-    token = ORDER_SERIAL.set(serial)
+    """Carry out the order of this serial in a block."""
+    before = ORDER_SERIAL.get()
+    ORDER_SERIAL.set(serial)
     try:
         yield
     finally:
-        ORDER_SERIAL.reset(token)
+        ORDER_SERIAL.set(before)
+
+
+def numbered(new: Callable[[], int] = ask) -> AbstractContextManager[None]:
+    """Carry out the order of the present task in a block, or, in a task without one, an order with a new serial."""
+    serial = ORDER_SERIAL.get()
+    return carrying_out(new() if serial is None else serial)
 
 
 class Asked(NamedTuple):
@@ -61,17 +68,6 @@ class Asked(NamedTuple):
     """None: an order of ours was changing it, or a take-off was under way."""
     number: int = 0
     """`OrderLedger.number` then."""
-
-
-async def numbered(work: Coroutine[Any, Any, T], new: Callable[[], int] = ask) -> T:
-    """Carry out work that has a serial from here on: that of the present task, or, without one, a new one."""
-    if ORDER_SERIAL.get() is not None:
-        return await work
-    ORDER_SERIAL.set(new())
-    try:
-        return await work
-    finally:
-        ORDER_SERIAL.set(None)
 
 
 class TaskSet:

@@ -63,7 +63,7 @@ from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.task_set import numbered
 from skygcs.runtime.unattended_holds import UnattendedHolds
 from skygcs.runtime.uplink_probes import UplinkProbes
-from skygcs.runtime.vehicle_services import Outlet, SetpointProgram, VehicleServices
+from skygcs.runtime.vehicle_services import SetpointProgram, VehicleLinks, VehicleServices
 
 if TYPE_CHECKING:  # only some vehicles have them
     from skygcs.runtime.onboard_logs import VehicleLogs
@@ -101,14 +101,15 @@ class VehicleActor:
         """Why it was closed."""
         self.program: SetpointProgram | None = None
         """Whose setpoint it followed last; None: a client's, or it was ordered somewhere since."""
-        self._outlet = Outlet(services.send)
-        services = self.services = replace(services, send=self._outlet.send)
         self._loop = services.loop
         self._dialect = services.dialect
         # orders: the commands on the wire, what runs them, flight by setpoints
         ids = (vehicle.sysid, vehicle.compid)
         own, dialect = services.own, services.dialect
-        self.commands = CommandClient(ids, own, dialect, services.send, services.loop, self._state_evidence())
+        self.commands = CommandClient(
+            ids, own, dialect, services.send, services.loop, self._state_evidence(services.links)
+        )
+        services = self.services = replace(services, send=self.commands.send)
         self.streams = StreamRequester(
             vehicle, self.commands, services.dialect, config.streams, partial(services.links.counts_on, vehicle.key)
         )
@@ -172,8 +173,8 @@ class VehicleActor:
             return None
         return self.authority_refusal() or self.services.order_refusal(self.vehicle, plan, self._loop.time())
 
-    def _state_evidence(self) -> StateEvidence:
-        vehicle, links = self.vehicle, self.services.links
+    def _state_evidence(self, links: VehicleLinks) -> StateEvidence:
+        vehicle = self.vehicle
         return StateEvidence(
             why_silent=lambda: links.why_silent(vehicle),
             heard_at=lambda: -math.inf if (slot := vehicle.slots.get(HEARTBEAT)) is None else slot.at,
@@ -382,7 +383,6 @@ class VehicleActor:
         self.params.close(reason)
         self.calibration.close()
         self.commands.close(reason)
-        self._outlet.shut()
         self.vehicle.disconnect()  # nobody ticks it any more
 
     # -- orders
@@ -566,13 +566,11 @@ class VehicleActor:
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
         if self._closed:
             return self.outcomes.finish("control", Outcome.refused(f"{self._closed}: nothing flies it any more"))
-        return await numbered(self._engaged(ControlMode(mode), force=force))
-
-    async def _engaged(self, mode: ControlMode, *, force: bool) -> Outcome:
-        outcome = await self.outcomes.track("control", self.offboard.engage(mode, force=force))
-        if outcome.ok:
-            self.runner.note_effect()
-        return outcome
+        with numbered():
+            outcome = await self.outcomes.track("control", self.offboard.engage(ControlMode(mode), force=force))
+            if outcome.ok:
+                self.runner.note_effect()
+            return outcome
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""

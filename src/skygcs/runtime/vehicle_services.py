@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
@@ -179,22 +179,6 @@ class NoOrderChecks:
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         return None
-
-
-class Outlet:
-    """The way out of whatever one vehicle's actor and its parts send, ``send`` of their `VehicleServices`. Once it is
-    shut nothing leaves, whichever coroutine goes on after the actor was closed, by what it decided before."""
-
-    def __init__(self, send: SendFn) -> None:
-        self._send: SendFn | None = send
-
-    def send(self, *message: Any, **how: Any) -> bool:
-        """Send it (see `SendFn`); False once it is shut."""
-        return self._send is not None and self._send(*message, **how)
-
-    def shut(self) -> None:
-        """Send nothing more."""
-        self._send = None
 
 
 @dataclass(frozen=True, slots=True)

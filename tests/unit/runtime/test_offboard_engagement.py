@@ -109,7 +109,6 @@ class Field:
         shared = services(flight_dialect(), None, self.loop, self.events.append, links=self.links, log_dir=log_dir)
         self.locks = shared.locks
         runner: Any = SimpleNamespace(
-            execute=self.execute,
             attempt_in_control=self.attempt,
             asked=lambda: None,
             late=self.never_late,

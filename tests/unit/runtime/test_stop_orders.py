@@ -148,7 +148,7 @@ async def test_a_stop_takes_the_place_of_entering_control() -> None:
         vehicle.mode = PX4_LOITER
         await asyncio.sleep(2)
         vehicle.script = deaf(1000)
-        entering = asyncio.create_task(actor.runner.execute(offboard_entry.enter(actor.vehicle)))
+        entering = asyncio.create_task(actor.runner.attempt_in_control(lambda now: offboard_entry.enter(actor.vehicle)))
         await asyncio.sleep(0.2)
         vehicle.script = accept_everything
         assert (await actor.stop("hold")).ok
@@ -206,7 +206,7 @@ async def test_a_parameter_is_asked_for_again_until_it_is_told() -> None:
         vehicle, actor = await flying(ground, autopilot=ARDUPILOT)
         vehicle.script = tells_the_third_time
         began = ground.loop.time()
-        outcome = await actor.runner.execute(offboard_entry.ask_parameters(actor.vehicle, began))
+        outcome = await actor.runner.attempt_in_control(lambda now: offboard_entry.ask_parameters(actor.vehicle, now))
         assert outcome.ok, "what it does not tell is optional"
         assert offboard_entry.attitude_refusal(actor.vehicle) is None
         assert actor.vehicle.parameters.reported_at("GUID_OPTIONS") == pytest.approx(began + 1.1)
@@ -216,7 +216,7 @@ async def test_a_parameter_that_is_never_told_fails_the_plan_within_its_time() -
     async with Ground() as ground:
         vehicle, actor = await flying(ground, autopilot=ARDUPILOT)
         vehicle.script = lambda *_: None
-        outcome = await actor.runner.execute(offboard_entry.ask_parameters(actor.vehicle, ground.loop.time()))
+        outcome = await actor.runner.attempt_in_control(lambda now: offboard_entry.ask_parameters(actor.vehicle, now))
         assert (outcome.ok, outcome.result) == (False, "timeout")
         assert "does not report its parameter GUID_OPTIONS" in outcome.message
         assert len([s for s in vehicle.got if s.name == "PARAM_REQUEST_READ"]) == 6
