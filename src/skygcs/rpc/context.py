@@ -175,11 +175,6 @@ async def command(context: Context, targets: str | list[str], order: Order, **ar
     return as_json(await fleet.orders.command_all(targets, order, reports=context.reports, **arguments))
 
 
-async def command_with(context: Context, order: Order, params: TargetsParams) -> JsonObject:
-    """An order whose arguments are the method's parameters."""
-    return await command(context, params.targets, order, **params.model_dump(exclude={"targets"}))
-
-
 def order_method(
     name: str,
     params: type[TargetsParams],
@@ -196,7 +191,7 @@ def order_method(
     """
 
     async def handler(context: Context, given: TargetsParams) -> JsonObject:
-        return await command_with(context, order, given)
+        return await command(context, given.targets, order, **given.arguments())
 
     handler.__doc__ = description
     ends_flight = order in CARRIED_ON

@@ -209,7 +209,7 @@ async def control_gains(context: Context, params: ControlGainsParams) -> JsonObj
 
 def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
     """One setpoint of a stream: made for 50 a second. See control.set first."""
-    return as_json(context.services.fleet.orders.setpoint(params.targets, **params.model_dump(exclude={"targets"})))
+    return as_json(context.services.fleet.orders.setpoint(params.targets, **params.arguments()))
 
 
 def control_status(context: Context, params: ListParams) -> list[JsonObject]:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
 from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
 from skygcs.rpc import dispatch, error_codes
-from skygcs.rpc.context import Context, JsonObject, command_with
+from skygcs.rpc.context import Context, JsonObject, command
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import (
     MessageName,
@@ -146,19 +146,19 @@ _INTEGER = re.compile(r"(u?)int(8|16|32|64)_t")
 async def vehicles_interval(context: Context, params: IntervalParams) -> JsonObject:
     """Request one message at a rate (SET_MESSAGE_INTERVAL)."""
     find_message(context.services.dialect, params.message, "message")
-    return await command_with(context, VehicleActor.set_message_interval, params)
+    return await command(context, params.targets, VehicleActor.set_message_interval, **params.arguments())
 
 
 async def vehicles_request(context: Context, params: RequestParams) -> JsonObject:
     """Request one message once; when the outcome is ok, messages.latest has it."""
     find_message(context.services.dialect, params.message, "message")
-    return await command_with(context, VehicleActor.request_message, params)
+    return await command(context, params.targets, VehicleActor.request_message, **params.arguments())
 
 
 async def vehicles_stream(context: Context, params: StreamParams) -> JsonObject:
     """Request a group of messages at a rate (REQUEST_DATA_STREAM)."""
     _check_entry(context.services.dialect, "MAV_DATA_STREAM", params.stream, "stream")
-    return await command_with(context, VehicleActor.request_stream, params)
+    return await command(context, params.targets, VehicleActor.request_stream, **params.arguments())
 
 
 async def vehicles_command(context: Context, params: CommandParams) -> JsonObject:
@@ -170,7 +170,7 @@ async def vehicles_command(context: Context, params: CommandParams) -> JsonObjec
     _check_command(context.services.dialect, params.command)
     if params.int_frame is not None:
         _check_entry(context.services.dialect, "MAV_FRAME", params.int_frame, "int_frame")
-    return await command_with(context, VehicleActor.command, params)
+    return await command(context, params.targets, VehicleActor.command, **params.arguments())
 
 
 def messages_latest(context: Context, params: LatestParams) -> JsonObject | None:

@@ -18,7 +18,7 @@ from skygcs.core.vehicle.fence_params import FenceAction
 from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind
 from skygcs.errors import PlanFileError
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject, as_json, command, command_with, one_vehicle, resolve
+from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES
 from skygcs.rpc.models import (
@@ -288,7 +288,7 @@ async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
     """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
     if params.radius_m is None and params.height_m is None and params.action is None:
         raise InvalidParams(("radius_m", "give a radius, a height or an action"))
-    return await command_with(context, onboard_orders.set_fence, params)
+    return await command(context, params.targets, onboard_orders.set_fence, **params.arguments())
 
 
 async def fence_status(context: Context, params: ListParams) -> JsonObject:
@@ -303,7 +303,7 @@ async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
     Its reports and actions are recorded to a file in the log directory; progress comes as events of kind fence. ok: it
     reported the breach and, if it was armed, took its action.
     """
-    return await command_with(context, onboard_orders.test_fence, params)
+    return await command(context, params.targets, onboard_orders.test_fence, **params.arguments())
 
 
 _TARGET = (error_codes.TARGET_ERROR,)

@@ -124,6 +124,10 @@ class TargetParams(MethodParams):
 class TargetsParams(MethodParams):
     targets: Targets
 
+    def arguments(self) -> dict[str, Any]:
+        """The arguments of an order to the targets."""
+        return self.model_dump(exclude={"targets"})
+
 
 class SubscribeParams(MethodParams):
     topic: Literal["telemetry", "events", "messages", "plan"] = Field(

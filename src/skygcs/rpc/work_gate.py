@@ -210,41 +210,16 @@ class WorkGate:
             self.asked(method)
             return await method.handler(context, params)
         if method.ends_flight:
-            return await self._end_flight(method, context, params, names)
-        try:
-            work = self.bound.begin(context.client, method.name, len(names))
-        except TooMuchWork as error:
-            self.counters["vehicle_orders_refused"] += 1
-            raise LimitExceeded(str(error)) from None
-        return await self._carry_out(work, method, context, params)
-
-    async def _end_flight(
-        self, method: Method[Any], context: Client, params: MethodParams, names: frozenset[str]
-    ) -> Any:
-        """Carry out an order that ends a flight, or wait for the outcome of the same one that is in force."""
-        same_as = (method.name, names, params.model_dump_json(exclude={"targets"}))
-        now = asyncio.get_running_loop().time
-        asked = self.bound.asked(now())
-        # each vehicle's outcome is reported by the call that carries the order out
-        may_join = context.reports is None
-        while True:
-            earlier = self.bound.to_join(same_as, asked) if may_join else None
-            if earlier is not None:
-                self.counters["vehicle_orders_joined"] += 1
-                waiting = await self._ended(earlier)
-                if waiting.cancelled():
-                    continue  # the earlier one was; this one is not
-                return waiting.result()
-            wait_s = self.bound.wait_s(context.client, same_as, now())
-            if wait_s <= 0.0:
-                work = self.bound.begin_ending(context.client, len(names), same_as, now())
-                return await self._carry_out(work, method, context, params)
-            self.counters["vehicle_orders_delayed"] += 1
-            await asyncio.sleep(wait_s)
-            may_join = True
-
-    async def _carry_out(self, work: Work, method: Method[Any], context: Client, params: MethodParams) -> Any:
-        """Call the handler, give the room back, and give the outcome to those that have joined."""
+            work = await self._room_or_outcome(method, context, params, names)
+            if isinstance(work, asyncio.Future):
+                return work.result()
+        else:
+            try:
+                work = self.bound.begin(context.client, method.name, len(names))
+            except TooMuchWork as error:
+                self.counters["vehicle_orders_refused"] += 1
+                raise LimitExceeded(str(error)) from None
+        # call the handler, give the room back, and give the outcome to those that have joined
         settle: Settle = _cancel
         try:
             result = await method.handler(context, params)
@@ -258,6 +233,30 @@ class WorkGate:
             for waiting in self._joined.pop(work, ()):
                 if not waiting.done():
                     settle(waiting)
+
+    async def _room_or_outcome(
+        self, method: Method[Any], context: Client, params: MethodParams, names: frozenset[str]
+    ) -> Work | asyncio.Future[Any]:
+        """Room for an order that ends a flight, or the outcome of the same one that was in force, once it has ended."""
+        same_as = (method.name, names, params.model_dump_json(exclude={"targets"}))
+        now = asyncio.get_running_loop().time
+        asked = self.bound.asked(now())
+        # each vehicle's outcome is reported by the call that carries the order out
+        may_join = context.reports is None
+        while True:
+            earlier = self.bound.to_join(same_as, asked) if may_join else None
+            if earlier is not None:
+                self.counters["vehicle_orders_joined"] += 1
+                waiting = await self._ended(earlier)
+                if waiting.cancelled():
+                    continue  # the earlier one was; this one is not
+                return waiting
+            wait_s = self.bound.wait_s(context.client, same_as, now())
+            if wait_s <= 0.0:
+                return self.bound.begin_ending(context.client, len(names), same_as, now())
+            self.counters["vehicle_orders_delayed"] += 1
+            await asyncio.sleep(wait_s)
+            may_join = True
 
     def _names(self, method: Method[Any], context: Client, params: MethodParams) -> frozenset[str] | None:
         """The vehicles and components that a call goes to; None: it goes to none. A call that names none that exists,

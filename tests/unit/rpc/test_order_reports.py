@@ -101,7 +101,7 @@ def fields_of(result: Any) -> frozenset[str]:
 def reports(handler: Any) -> bool:
     """Whether it hands its client's reports on, itself or by one of the functions that do."""
     words = set(re.findall(r"\w+", inspect.getsource(inspect.unwrap(handler))))
-    return bool(words & {"reports", "command", "command_with", "_each"})
+    return bool(words & {"reports", "command", "_each"})
 
 
 async def test_outcomes_are_iterated_over_as_they_come(daemon: FakeDaemon, gcs: Client) -> None:
