@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.trajectory import ClockState
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED
 from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, companion_pair, start_circle
@@ -191,6 +193,43 @@ async def test_an_order_to_the_clock_that_was_lost_comes_with_the_next_or_after_
         assert lost and here.state is there.state
         assert there.trajectory_s == pytest.approx(here.trajectory_s, abs=0.02)
         assert not [t.text for t in pair.told if "ordered to" in t.text]
+
+
+async def test_a_pause_that_comes_before_the_start_stops_it_there(tmp_path: Path) -> None:
+    """The companion refused the start, as the pause was newer, and the ground took its vehicle for one that left."""
+    async with companion_pair(tmp_path, delay_s=0.1, engaged="position") as pair:
+        lost: list[str] = []
+
+        def lose(method: str, given: dict[str, Any]) -> bool:
+            if given.get("order") == "start":
+                lost.append(given["order"])
+            return len(lost) == 1 and given.get("order") == "start"
+
+        pair.calls.lose = lose
+        await start_circle(pair)
+        await pair.done("trajectory.pause")
+        await asyncio.sleep(5)
+        actors = (pair.ground.fleet.find("v1"), pair.pi.actor())
+        flights = [actor.offboard.controller.flight for actor in actors]
+        assert len(lost) > 1 and all(flights), pair.texts("trajectory", "control")
+        assert [f.clock.at(pair.now)[:2] for f in flights if f is not None] == [(0.0, 0.0)] * 2
+        await pair.done("trajectory.resume")
+        await asyncio.sleep(5)
+        here, there = (f.clock.at(pair.now).trajectory_s for f in flights if f is not None)
+        assert there == pytest.approx(here, abs=0.02) and here > 2.0
+
+
+async def test_a_pause_has_room_beside_any_number_of_orders_to_the_clock(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, delay_s=0.8, engaged="position") as pair:
+        began = await start_circle(pair)
+        await asyncio.sleep(began + 8.0 - pair.now)
+        given = [await pair.outcome("trajectory.speed", speed=0.5 + 0.01 * (k % 20)) for k in range(40)]
+        assert [outcome["ok"] for outcome in given] == [True] * MAX_NOTED + [False] * (40 - MAX_NOTED)
+        await pair.done("trajectory.pause")
+        await asyncio.sleep(8)
+        for actor in (pair.ground.fleet.find("v1"), pair.pi.actor()):
+            flight = actor.offboard.controller.flight
+            assert flight is not None and flight.clock.at(pair.now).state is ClockState.PAUSED
 
 
 @pytest.mark.deep

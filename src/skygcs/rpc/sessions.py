@@ -16,6 +16,7 @@ import hmac
 import socket
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
@@ -97,7 +98,7 @@ class Session(ClientPeer):
         self.slices = hub.slices
         self.reports: OrderReports | None = None
         """None: only a request that asks for them has a context with reports (`ReportingContext`)."""
-        self.tasks: set[asyncio.Task[None]] = set()
+        self.tasks: set[asyncio.Task[bytes]] = set()
         self.authenticated = token is None
         self.restricted = False
         """True if it came when all places were taken: one request, of those that are `always` answered."""
@@ -109,6 +110,8 @@ class Session(ClientPeer):
         self._answered = False
         self._unread_since = 0.0
         self._in_flight = 0
+        self._batch: _Batch | None = None
+        """The batch of which requests have not begun; no later line is read before they have."""
         self._relays_operator = False
         self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
@@ -202,11 +205,11 @@ class Session(ClientPeer):
     @property
     def busy(self) -> bool:
         """True if it waits for the outcome of a request."""
-        return bool(self.tasks)
+        return bool(self.tasks) or self._batch is not None
 
     def idle_s(self, now: float) -> float:
         """How long it has sent no request, or not read what it subscribed to; 0 while it does."""
-        if self.tasks:
+        if self.busy:
             return 0.0
         if self._subscriptions:
             return now - self._unread_since if not self.writable else 0.0
@@ -240,15 +243,18 @@ class Session(ClientPeer):
         return self.socket is not None and is_of_the_last(self.socket.fileno())
 
     def _on_deadline(self) -> None:
-        if not self.tasks:
+        if not self.busy:
             self.close()
 
     # -- lines
 
     def work(self) -> bool:
-        """Process one complete line; True if there may be another one."""
+        """Process one complete line, or one request of a batch; True if there may be another one."""
         if self._hub.services.fleet.sleep.check():  # all are closed: lines of before a standstill are not carried out
             return False
+        if self._batch is not None:
+            self._go_on_with(self._batch)
+            return self._transport is not None
         limit_bytes = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
         if not self.writable or self._answered or (line := self.next_line(limit_bytes)) is None:
             self.pace_reading(wait=self._answered)
@@ -284,7 +290,7 @@ class Session(ClientPeer):
             if isinstance(reply, bytes):
                 self.reply(reply)
             elif reply is not None:
-                self._run([reply], batch=False)
+                self._run(reply, self.reply)
 
     def _refused_for_now(self, request: object) -> bool:
         """True if this is not answered since all places are taken. A connection beyond them has one request."""
@@ -336,52 +342,61 @@ class Session(ClientPeer):
         if len(requests) > MAX_BATCH:
             text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
             return self.reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
-        replies: list[dispatch.Reply] = []
-        size, most = 0, client_peer.MAX_OUTPUT_BYTES // 2
-        large: list[str] = []
-        """Methods that read much, so no orders: where their replies do not fit, they are not worked out any more."""
-        for request in requests:
-            if size > most and isinstance(request, dict) and request.get("method") in large:
-                reply: dispatch.Reply = b"" if "id" in request else None
-            else:
-                reply = self._start(request, twice)
-            if isinstance(reply, bytes):
-                size += len(reply)
-                if len(reply) > most // MAX_BATCH and isinstance(request, dict) and "method" in request:
-                    large.append(request["method"])
-                if size > most:
-                    text = f"the replies of this batch exceed {most} bytes"
-                    reply = error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
-            replies.append(reply)
-        if any(isinstance(reply, Coroutine) for reply in replies):
-            self._run(replies, batch=True)
-        else:
-            self.reply(_joined([r for r in replies if isinstance(r, bytes)]))
+        self._batch = _Batch(deque(requests), twice)
 
-    def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
+    def _go_on_with(self, batch: _Batch) -> None:
+        """Begin the next request of a batch."""
+        request, most = batch.requests.popleft(), client_peer.MAX_OUTPUT_BYTES // 2
+        method = request.get("method") if isinstance(request, dict) else None
+        if batch.size > most and method in batch.large:
+            reply: dispatch.Reply = b"" if "id" in request else None
+        else:
+            reply = self._start(request, batch.twice)
+        if isinstance(reply, Coroutine):
+            batch.waits += 1
+            self._run(reply, functools.partial(self._on_reply_of, batch, len(batch.replies)))
+            reply = None
+        elif reply is not None:
+            batch.size += len(reply)
+            if len(reply) > most // MAX_BATCH and isinstance(method, str):
+                batch.large.add(method)
+            if batch.size > most:
+                text = f"the replies of this batch exceed {most} bytes"
+                reply = error_reply(id_of(request), error_codes.LIMIT_EXCEEDED, text)
+        batch.replies.append(reply or b"")
+        if not batch.requests:
+            self._batch = None
+        self._answer(batch)
+
+    def _on_reply_of(self, batch: _Batch, place: int, reply: bytes) -> None:
+        batch.waits -= 1
+        batch.replies[place] = reply
+        self._answer(batch)
+
+    def _answer(self, batch: _Batch) -> None:
+        """Answer a batch once all its requests are; with nothing if all of them were notifications."""
+        if not batch.requests and not batch.waits and (wanted := [reply for reply in batch.replies if reply]):
+            self.reply(b"[" + b",".join(wanted) + b"]")
+
+    def _run(self, work: Coroutine[Any, Any, bytes], on_reply: Callable[[bytes], None]) -> None:
         """Finish what takes time in a task of its own, which ends with the client at the latest.
 
         What a task of the hub does (`Sessions.outlive`) is only waited for here.
         """
-        coroutines = [reply for reply in replies if isinstance(reply, Coroutine)]
 
-        async def finish() -> None:
-            if not batch:
-                self.reply(await coroutines[0])
-                return
-            late = iter(await asyncio.gather(*coroutines))
-            self.reply(_joined([next(late) if isinstance(r, Coroutine) else r or b"" for r in replies]))
-
-        def on_done(task: asyncio.Task[None]) -> None:
+        def on_done(task: asyncio.Task[bytes]) -> None:
             self.tasks.discard(task)
-            self._in_flight -= len(coroutines)
-            for coroutine in coroutines:
-                coroutine.close()  # those of a task that was cancelled before it began
-            if not task.cancelled() and (error := task.exception()) is not None:
+            self._in_flight -= 1
+            work.close()  # that of a task that was cancelled before it began
+            if task.cancelled():
+                pass
+            elif (error := task.exception()) is not None:
                 _log.error("rpc request failed", exc_info=error)
+            else:
+                on_reply(task.result())
             self._close_if_idle()
 
-        task = self._hub.loop.create_task(finish(), name="rpc request")
+        task = self._hub.loop.create_task(work, name="rpc request")
         self.tasks.add(task)
         task.add_done_callback(on_done)
 
@@ -416,7 +431,7 @@ class Session(ClientPeer):
 
     def _close_if_idle(self) -> None:
         """After the client's end of file, or its one request: close once nothing is left to send."""
-        if self._transport is None or self.tasks:
+        if self._transport is None or self.tasks or self._batch is not None:
             return
         if self._answered or (self._eof and not (self._subscriptions or self._lines)):
             self._hang_up()
@@ -438,6 +453,7 @@ class Session(ClientPeer):
                 _log.error("an action at a client's end failed", exc_info=error)
         for task in self.tasks:
             task.cancel()
+        self._batch = None
         self._lines.clear()
 
 
@@ -446,14 +462,24 @@ def _is_relay(request: object) -> bool:
     return isinstance(request, dict) and request.get("method") == RELAY
 
 
-def _joined(replies: list[bytes]) -> bytes:
-    """A batch's reply; empty if all of it were notifications."""
-    wanted = [reply for reply in replies if reply]
-    return b"[" + b",".join(wanted) + b"]" if wanted else b""
+@dataclass(slots=True)
+class _Batch:
+    """A batch that is worked on: one request of it in a turn, as of the lines. ``large``: methods that read much, so
+    no orders: where their replies do not fit, they are not worked out any more."""
+
+    requests: deque[Any]
+    """Those that have not begun."""
+    twice: Callable[[], str | None]
+    replies: list[bytes] = field(default_factory=list)
+    waits: int = 0
+    """Requests that have begun, and are not answered."""
+    size: int = 0
+    large: set[str] = field(default_factory=set)
 
 
 class Turns:
-    """Sessions with lines to process: one line of each in turn, those beyond the places first, TURN_S at a time."""
+    """Sessions with lines to process: one line, or one request of a batch, of each in turn, those beyond the places
+    first, TURN_S at a time."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop

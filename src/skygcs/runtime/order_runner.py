@@ -75,7 +75,7 @@ Planner = Callable[[float], Plan]
 class _PlanInProgress:
     """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
 
-    __slots__ = ("asked_now", "clearance", "end_requested", "number", "plan", "queue", "step", "were_in")
+    __slots__ = ("asked_now", "clearance", "done", "end_requested", "number", "plan", "queue", "step", "were_in")
 
     def __init__(self, plan: Plan, number: int, clearance: Clearance, were_in: Hands) -> None:
         self.plan = plan
@@ -88,6 +88,8 @@ class _PlanInProgress:
         self.asked_now = ASKED_NOW.get()
         """A person gives this order; noted here, as the conditions of its commands are looked at by timers, too."""
         self.queue = list(plan.steps)
+        self.done: list[Step] = []
+        """Steps that were really executed, and not undone."""
         self.step: Step | None = None
         self.end_requested = False
 
@@ -322,29 +324,28 @@ class OrderRunner:
         take-off), that step is undone. Once the last step has begun nothing is undone: the vehicle may be flying by it.
         """
         if plan.order not in MOVING:
-            return await self._finish_or_undo(plan, clearance)
+            return await self._finish_or_undo(_PlanInProgress(plan, self.ledger.number, clearance, self.hands()))
         self._newest, mode, ends_flight = plan, self._vehicle.custom_mode, plan.order in ENDING
         self._commands.supersede(_commands(plan), ends_flight=ends_flight)
         number = self.ledger.begins(plan.order, ORDER_SERIAL.get() or OWN, ends_flight=ends_flight)
-        ended: Outcome | None = None
+        run, ended = _PlanInProgress(plan, number, clearance, self.hands()), None
         try:
-            ended = await self._finish_or_undo(plan, clearance)
+            ended = await self._finish_or_undo(run)
         finally:
-            self.ledger.ended(number, ended)
+            self.ledger.ended(number, ended, changed=any(map(_sets_mode, run.done)))
             self._order_ended.set()
         outcome = replace(ended, order_number=number)
         if outcome.ok and self.ledger.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
             self.on_carried_out(plan)
         return outcome
 
-    async def _finish_or_undo(self, plan: Plan, clearance: Clearance) -> Outcome:
+    async def _finish_or_undo(self, run: _PlanInProgress) -> Outcome:
         """Carry out the steps of a plan; those that can be undone in a task of their own, which outlives the caller."""
-        run = _PlanInProgress(plan, self.ledger.number, clearance, self.hands())
-        if all(step.undo is None for step in plan.steps[:-1]):
+        if all(step.undo is None for step in run.plan.steps[:-1]):
             return await self._steps(run)
         if self._ending:
             return Outcome.refused("skygcs is shutting down")
-        task = self._loop.create_task(self._steps(run), name=f"{self._vehicle.name} {plan.order}")
+        task = self._loop.create_task(self._steps(run), name=f"{self._vehicle.name} {run.plan.order}")
         self._undoable[task] = run
         task.add_done_callback(self._undoable.pop)
         try:
@@ -383,11 +384,10 @@ class OrderRunner:
         plan, number, queue = run.plan, run.number, run.queue
         started = self._loop.time()
         attempts, texts = 0, []
-        done: list[Step] = []
         while queue:
             # before a step: is the plan still wanted, is the step still needed?
             if run.ended():
-                return await self._ended(run, done, attempts, started)
+                return await self._ended(run, attempts, started)
             step = run.step = queue.pop(0)
             if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
                 continue
@@ -397,8 +397,8 @@ class OrderRunner:
             outcome = await self._persist(step, run)
             # ended by its caller or by the shutdown meanwhile
             if run.ended() and number == self.ledger.number:
-                done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
-                return await self._ended(run, done, max(attempts, outcome.attempts), started)
+                run.done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
+                return await self._ended(run, max(attempts, outcome.attempts), started)
             attempts = max(attempts, outcome.attempts)  # steps are not repeats of each other
             texts += [t for t in outcome.status_texts if t not in texts]
             # an alternative, or a step that may fail
@@ -415,12 +415,12 @@ class OrderRunner:
                 if why is not None and outcome.result != "refused":
                     outcome, message = replace(outcome, result="refused"), f"{message}; {why}"  # not tried again
                 if number == self.ledger.number:
-                    message += await self._undo(done, run)
+                    message += await self._undo(run)
                 elapsed_s = self._loop.time() - started
                 return replace(
                     outcome, message=message, attempts=attempts, elapsed_s=elapsed_s, status_texts=tuple(texts)
                 )
-            done.append(step)
+            run.done.append(step)
             if number == self.ledger.number:
                 self._took_effect(step, run)
             # superseded between two steps
@@ -433,13 +433,13 @@ class OrderRunner:
     def _took_effect(self, step: Step, run: _PlanInProgress) -> None:
         """A step has succeeded. One that changes the mode, and the last one, take the vehicle over from its flight by
         setpoints; others, such as the choice of a mission item, prepare that."""
-        takes_over = isinstance(step.expect, ModeIn) or not run.queue
+        takes_over = _sets_mode(step) or not run.queue
         if self.flown_by is not None and takes_over and run.plan.order in MOVING and run.plan.order != "control":
             self.flown_by.taken_over()
 
-    async def _ended(self, run: _PlanInProgress, done: list[Step], attempts: int, started: float) -> Outcome:
+    async def _ended(self, run: _PlanInProgress, attempts: int, started: float) -> Outcome:
         """The outcome of a plan that was cancelled before its last step."""
-        undone = await self._undo(done, run) if run.number == self.ledger.number else ""
+        undone = await self._undo(run) if run.number == self.ledger.number else ""
         rest = run.queue[-1].name if run.queue else "the last step"
         return Outcome(False, "cancelled", f"cancelled before {rest}{undone}", attempts, self._loop.time() - started)
 
@@ -625,16 +625,17 @@ class OrderRunner:
                 unmet = step.expect.unmet(self._vehicle, self._loop.time())
                 return Outcome(False, "timeout", f"timeout: {unmet}", attempts, elapsed_s)
 
-    async def _undo(self, done: list[Step], run: _PlanInProgress) -> str:
-        """Undo the steps that were really executed, last first; returns what to add to the message. A step that cannot
-        be undone ends it: those before it were made for a vehicle that is in the state which they led to."""
+    async def _undo(self, run: _PlanInProgress) -> str:
+        """Undo the steps that were done, last first; returns what to add to the message. A step that cannot be undone
+        ends it: those before it were made for a vehicle that is in the state which they led to."""
         began, added = self._loop.time(), ""
-        for step in reversed(done):
+        for step in reversed(run.done.copy()):
             if step.undo is None:
                 continue
             outcome = await self._undo_step(step.undo, run, began)
             if not outcome.ok:
                 return f"{added}; did not {step.undo.name}: {outcome.message}"
+            run.done.remove(step)
             added += f"; {step.undo.name}"
         return added
 
@@ -713,6 +714,10 @@ def duplicate_refusal(vehicle: Vehicle) -> Outcome:
 
 def _arms(plan: Plan) -> bool:
     return any(arms(spec) for spec in _commands(plan))
+
+
+def _sets_mode(step: Step) -> bool:
+    return isinstance(step.expect, ModeIn)
 
 
 def _commands(plan: Plan) -> list[CommandSpec]:

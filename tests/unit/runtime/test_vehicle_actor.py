@@ -642,7 +642,9 @@ async def test_a_stop_that_a_standstill_ends_is_reported_as_lost() -> None:
         assert sum(e.data.get("result") == "lost" for e in ground.events) == 1
 
 
-async def test_a_hold_that_is_refused_says_what_it_does_instead() -> None:
+async def test_a_hold_that_is_refused_says_what_it_does_instead_and_what_was_asked_for_before_does_not_end_that() -> (
+    None
+):
     for refused, said in ((17.0, "does nothing else instead"), (4.0, "it holds in BRAKE")):
         async with Ground() as ground:
             copter, actor = await flying(ground, ARDUPILOT)
@@ -654,8 +656,12 @@ async def test_a_hold_that_is_refused_says_what_it_does_instead() -> None:
                     accept_everything(v, sent)
 
             copter.script = script
+            before, tasks = ask(), TaskSet(ground.loop, ground.events.append)
+            number = actor.order_number
             outcome = await actor.hold()
             assert not outcome.ok and said in outcome.message, said
+            assert (await tasks.start(actor.rtl(), "rtl", before)).ok is (refused == 17.0), said
+            assert (await actor.hold(instead_of=number)).result == "refused", said
 
 
 async def test_a_hold_in_place_of_one_order_waits_for_a_newer_one_and_is_refused_if_that_is_accepted(

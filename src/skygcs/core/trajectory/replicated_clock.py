@@ -33,6 +33,10 @@ ClockOrderKind = Literal["pause", "resume", "abort", "speed"]
 MAX_NOTED = 32
 """Orders that wait for their time; a person gives one or two a second."""
 
+STOP_ROOM = 2
+"""Room beyond that for stops alone: a pause, and an abort. Only a resume, which has no room there, comes before the
+next pause."""
+
 ENDING = frozenset({ClockState.ABORTING, ClockState.ABORTED, ClockState.FINISHED})
 
 STATE_AFTER = {"pause": ClockState.PAUSING, "resume": ClockState.RUNNING, "abort": ClockState.ABORTING}
@@ -44,6 +48,14 @@ class ClockOrder(NamedTuple):
     kind: ClockOrderKind
     at_s: float
     speed_factor: float | None = None
+
+    @property
+    def stops(self) -> bool:
+        return self.kind in ("pause", "abort")
+
+    def has_room(self, waiting: int) -> bool:
+        """True if it may wait beside so many others; a stop of a clock always may."""
+        return waiting < MAX_NOTED + (STOP_ROOM if self.stops else 0)
 
 
 class ReplicatedClock(TrajectoryClock):
@@ -74,7 +86,7 @@ class ReplicatedClock(TrajectoryClock):
 
     def note(self, order: ClockOrder) -> None:
         """An order of the clock that this one replicates. Raises RefusedError if too many wait."""
-        if len(self._noted) >= MAX_NOTED:
+        if not order.has_room(len(self._noted)):
             raise RefusedError(f"{MAX_NOTED} orders to the clock wait for their time already")
         self._noted.append(order)
         self._noted.sort(key=lambda noted: noted.at_s)

@@ -6,7 +6,8 @@ Orders are not sent in the sequence in which they are asked for, and a vehicle m
     serial    from where it is asked for, among the orders to all vehicles (`runtime.task_set`); 0: nobody asked for it
     number    from where its sending begins, among those that move this vehicle (`Outcome.order_number`)
 
-An order is *in progress* until it has an outcome, and *effective* from then on if it may move the vehicle.
+An order is *in progress* until it has an outcome, and *effective* from then on if it may move the vehicle: one that is
+refused, too, if the vehicle has changed its mode for it before.
 """
 
 from __future__ import annotations
@@ -69,10 +70,11 @@ class OrderLedger:
             self._ending_number = self.number
         return self.number
 
-    def ended(self, number: int, outcome: Outcome | None) -> None:
-        """Note the outcome of an order in progress; None: its caller was cancelled."""
+    def ended(self, number: int, outcome: Outcome | None, *, changed: bool = False) -> None:
+        """Note the outcome of an order in progress; None: its caller was cancelled. ``changed``: the vehicle has
+        changed its mode for it, whatever came then."""
         order, serial = self._in_progress.pop(number)
-        if not may_have_effect(outcome):
+        if not (changed or may_have_effect(outcome)):
             return
         if number > self.effective:
             self.effective, self.effective_order = number, order

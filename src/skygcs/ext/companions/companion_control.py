@@ -25,7 +25,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
@@ -343,14 +343,20 @@ class CompanionControl:
         unanswered: dict[int, ClockOrder] = {}
 
         def on_order(order: ClockOrder) -> None:
-            if self.controller.flight is not flight:
+            # a stop goes to what may still fly it, too; the companion compares the flight
+            if self.controller.flight is not flight and not order.stops:
                 return
-            if len(unanswered) >= MAX_NOTED:
-                self._publish(f"its trajectory is not ordered to {order.kind}: {MAX_NOTED} orders were not answered")
-                return
+            if not order.has_room(len(unanswered)):
+                if self.controller.flight is flight:
+                    why = f"{len(unanswered)} orders to its clock were not answered: what it flies is not known"
+                    self.controller.drop_flight(why)
+                    self._publish(why)
+                if not order.stops:
+                    return
+                unanswered.clear()
             order_number = next(self._numbers)
             unanswered[order_number] = order
-            self._tasks.start(self._order_clock(number, order_number, unanswered), f"clock {order.kind}")
+            self._tasks.start(self._order_clock(flight, number, order_number, unanswered), f"clock {order.kind}")
 
         clock.observers.append(on_order)
         self._tasks.start(self._start(flight, clock, number, origin), "start of a trajectory")
@@ -522,17 +528,21 @@ class CompanionControl:
             self.controller.drop_flight(outcome.message)
             self._publish(f"it does not follow {flight.loaded.name}: {outcome.message}")
 
-    async def _order_clock(self, flight: int, number: int, unanswered: dict[int, ClockOrder]) -> None:
-        """One order, with all before it that were not answered: this one may come before their repeats."""
+    async def _order_clock(
+        self, flown: TrajectoryFlight, flight: int, number: int, unanswered: dict[int, ClockOrder]
+    ) -> None:
+        """One order, with all before it that were not answered: this one may come before their repeats. A stop is
+        harmless at any time, and repeated as long as an end of control."""
         order = unanswered[number]
+        start_s = RELEASE_S if order.stops else START_BY_S
         orders = [{"number": n, **wire.clock_order_json(o), "at_s": self._there(o.at_s)} for n, o in unanswered.items()]
-        outcome = await self._relay("clock", {"flight": flight, "orders": orders}, number)
+        outcome = await self._relay("clock", {"flight": flight, "orders": orders}, number, start_s=start_s)
         if number not in unanswered:
             return  # a newer one, which carried it, was answered
         if outcome.ok:
             for known in [n for n in unanswered if n <= number]:
                 del unanswered[known]
-        if not outcome.ok or "too late" in outcome.message:
+        if (not outcome.ok and self.controller.flight is flown) or "too late" in outcome.message:
             self._publish(f"its trajectory, ordered to {order.kind}: {outcome.message}")
 
     def _there(self, at: float) -> float:

@@ -18,7 +18,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import Trajectory
-from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
 from skygcs.events import Event
@@ -55,11 +55,11 @@ RETURN: Mapping[Action, Callable[[VehicleActor], Awaitable[Outcome]]] = {
     "land": VehicleActor.land,
 }
 
-RELAYED_MOVES = frozenset({"engage", "hand_over", "taken_over", "keep", "release", "goto", "start", "clock"})
-"""Orders that move the vehicle: an older one than the newest is not carried out, but for `OF_A_FLIGHT`."""
+RELAYED_MOVES = frozenset({"engage", "hand_over", "taken_over", "keep", "release", "goto", "start"})
+"""Orders that move the vehicle: an older one than the newest is not carried out. Not "clock": it names the flight that
+it is about, and counts for as long as that is flown; if it comes before the start of that, it waits for it."""
 
-OF_A_FLIGHT = frozenset({"clock"})
-"""They name the flight that they are about, and are numbered in it: they count for as long as it is flown."""
+MAX_CLOCK_ORDERS = MAX_NOTED + STOP_ROOM
 
 Json = dict[str, Any]
 
@@ -72,6 +72,17 @@ class FollowedTrajectory:
     flight: TrajectoryFlight
     clock: ReplicatedClock
     noted: int = 0
+
+    def note(self, orders: Mapping[int, ClockOrder], now: float) -> str:
+        """Orders to its clock by their numbers, of which it may have some; which it did not have. Raises
+        RefusedError."""
+        done = []
+        for number in sorted(n for n in orders if n > self.noted):
+            self.clock.note(orders[number])
+            self.noted = number
+            late_s = now - orders[number].at_s
+            done.append(orders[number].kind + (f", {late_s:.2f} s too late" if late_s > 0.0 else ""))
+        return "; ".join(done)
 
 
 class GroundOrders:
@@ -99,6 +110,8 @@ class GroundOrders:
         self._parts = wire.TrajectoryParts(MAX_PIECES)
         self._loaded: OrderedDict[str, LoadedTrajectory] = OrderedDict()
         self._followed: FollowedTrajectory | None = None
+        self._early: tuple[int, dict[int, ClockOrder]] = 0, {}
+        """A flight whose start has not come yet, and the orders to its clock that have."""
         self._handed_over: str | None = None
         """The order of the ground that takes over, or took over last."""
         self._ground_ids: tuple[int, int] | None = None
@@ -120,8 +133,8 @@ class GroundOrders:
     async def order(self, ground: str, session: str, number: int, until_s: float, order: str, given: Json) -> Json:
         """Carry out one order, or return the outcome of an earlier one with this number."""
         now = self._loop.time()
-        moves, in_turn = order in RELAYED_MOVES, order not in OF_A_FLIGHT
-        admitted = self.book.admit(ground, session, number, moves=moves, in_turn=in_turn, until_s=until_s, now=now)
+        moves = order in RELAYED_MOVES
+        admitted = self.book.admit(ground, session, number, moves=moves, until_s=until_s, now=now)
         match admitted:
             case Fresh():
                 self.book.contact(ground, now)
@@ -211,10 +224,11 @@ class GroundOrders:
     # -- the inside
 
     def _forget_ground(self, actor: VehicleActor | None) -> None:
-        """Another ground has the companion: the one before will not say how the order that takes over has ended."""
+        """Another ground has the companion: the one before will not say how the order that takes over has ended, and
+        its numbers name no trajectory any more."""
         if actor is not None:
             self._keep(_engagement(actor), "the ground that gave it is gone")
-        self._handed_over = None
+        self._handed_over, self._followed, self._early = None, None, (0, {})
 
     def _keep(self, engagement: OffboardEngagement, why: str) -> None:
         """The ground's order takes over no more; another order that does, as one of the companion's own, goes on."""
@@ -360,7 +374,7 @@ class GroundOrders:
         loaded = self._loaded.get(str(given.get("key"))[:32])
         if loaded is None:
             raise RefusedError("the companion does not have this trajectory: load it again")
-        now, at_s, speed = self._loop.time(), _number(given, "at_s"), _number(given, "speed_factor")
+        now, at_s, speed = self._loop.time(), wire.required(given, "at_s"), wire.required(given, "speed_factor")
         if not now - LATE_START_S <= at_s <= now + LATEST_START_S:
             raise RefusedError(f"its start was {now - at_s:.1f} s ago when the order came: it begins with all or not")
         self._take_origin(wire.origin_from(given.get("origin")))
@@ -370,42 +384,35 @@ class GroundOrders:
         if (why := engagement.trajectory_refusal(loaded, speed, lock, tube)) is not None:
             raise RefusedError(why)
         clock = ReplicatedClock(
-            _number(given, "duration_s"),
-            _number(given, "rate_limit_per_s"),
+            wire.required(given, "duration_s"),
+            wire.required(given, "rate_limit_per_s"),
             speed_factor=speed,
             rests_at_start=given.get("rests_at_start") is True,
             rests_at_end=given.get("rests_at_end") is True,
         )
         clock.start(now, max(now, at_s))
         self._followed = FollowedTrajectory(number, engagement.follow_trajectory(loaded, clock, lock), clock)
+        flight, early = self._early
+        if flight == number:
+            self._followed.note(early, now)
         return Outcome(True, "accepted", f"{loaded.name} begins in {at_s - now:.1f} s")
 
     def _order_clock(self, engagement: OffboardEngagement, given: Json) -> Outcome:
-        """Orders of the ground's clock, for its replica: those that it does not have yet."""
-        followed, orders = self._followed, given.get("orders")
-        if followed is None or followed.number != given.get("flight"):
+        """Orders of the ground's clock, for its replica: those that it does not have yet. If the start of the flight
+        has not come, they are kept for it."""
+        followed, flight, listed = self._followed, given.get("flight"), given.get("orders")
+        if not isinstance(listed, list) or len(listed) > MAX_CLOCK_ORDERS:
+            raise RefusedError(f"a clock gets a list of up to {MAX_CLOCK_ORDERS} orders")
+        orders = dict(wire.clock_order_from(values) for values in listed)
+        if type(flight) is int and flight > self.book.newest_moving:
+            kept = {**(self._early[1] if self._early[0] == flight else {}), **orders}
+            if len(kept) > MAX_CLOCK_ORDERS:
+                raise RefusedError(f"{MAX_CLOCK_ORDERS} orders to the clock wait for the start already")
+            self._early = flight, kept
+            return Outcome(True, "accepted", "it waits for the start of the trajectory")
+        if followed is None or followed.number != flight or engagement.controller.flight is not followed.flight:
             raise RefusedError("it does not follow this trajectory any more")
-        if engagement.controller.flight is not followed.flight:
-            raise RefusedError("it does not follow this trajectory any more")
-        if not isinstance(orders, list) or len(orders) > MAX_NOTED:
-            raise RefusedError(f"a clock gets a list of up to {MAX_NOTED} orders")
-        done = []
-        for number, order in [wire.clock_order_from(values) for values in orders]:
-            if number <= followed.noted:
-                continue
-            followed.clock.note(order)
-            followed.noted = number
-            late_s = self._loop.time() - order.at_s
-            done.append(order.kind + (f", {late_s:.2f} s too late" if late_s > 0.0 else ""))
-        return Outcome(True, "accepted", "; ".join(done))
-
-
-def _number(given: Json, key: str) -> float:
-    """Raises RefusedError."""
-    value = given.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= wire.LARGEST_SECONDS:
-        raise RefusedError(f"{key} is a number")
-    return float(value)
+        return Outcome(True, "accepted", followed.note(orders, self._loop.time()))
 
 
 def _engagement(actor: VehicleActor) -> OffboardEngagement:

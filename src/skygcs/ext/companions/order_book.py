@@ -7,8 +7,7 @@
     known, still being carried out                   its outcome is awaited      that outcome, once it is there
     known, ended                                     nothing                     its outcome, again
     new, after its deadline                          nothing                     refused: it came too late
-    new, moves the vehicle, a newer such order came  nothing, unless it is to    refused: a newer order came before it
-                                                     the clock of a flight
+    new, moves the vehicle, a newer such order came  nothing                     refused: a newer order came before it
     new                                              it is carried out           its outcome
     setpoint, a newer one or a newer order that      nothing                     accepted: it was replaced
     moves the vehicle came
@@ -98,11 +97,8 @@ class OrderBook:
         self.contact_at = now
         return None
 
-    def admit(
-        self, ground: str, session: str, number: int, *, moves: bool, in_turn: bool = True, until_s: float, now: float
-    ) -> Admission:
-        """Decide about an order. ``until_s``: its deadline on the companion's clock, on which ``now`` is, too. Without
-        ``in_turn`` it is carried out after a newer one that moves the vehicle, too."""
+    def admit(self, ground: str, session: str, number: int, *, moves: bool, until_s: float, now: float) -> Admission:
+        """Decide about an order. ``until_s``: its deadline on the companion's clock, on which ``now`` is, too."""
         if (stranger := self._stranger(ground, session)) is not None:
             return stranger
         if number in self._outcomes:
@@ -111,7 +107,7 @@ class OrderBook:
             return Refused("it is older than what the companion remembers")
         if not now <= until_s:  # also for NaN
             return Refused(f"it came {now - until_s:.1f} s too late")
-        if moves and in_turn and number < self.newest_moving:
+        if moves and number < self.newest_moving:
             return Refused("a newer order came before it")
         if moves:
             self.newest_moving = max(number, self.newest_moving)

@@ -99,9 +99,7 @@ def piece_from(values: Any) -> Piece:
     """A piece of finite numbers; the trajectory it is put into checks what they make. Raises RefusedError."""
     if not isinstance(values, dict):
         raise RefusedError("a piece has duration_s, x, y and up")
-    duration_s = _number(values, "duration_s")
-    if duration_s is None:
-        raise RefusedError("a piece has a duration_s")
+    duration_s = required(values, "duration_s", LARGEST_NUMBER)
     east, north, up = (_coefficients(values.get(axis), axis) for axis in ("x", "y", "up"))
     yaw = values.get("yaw")
     return Piece(duration_s, east, north, up, None if yaw is None else _coefficients(yaw, "yaw"))
@@ -194,6 +192,14 @@ def _number(values: Mapping[str, Any], key: str, largest: float = LARGEST_NUMBER
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= largest:  # or NaN
         raise RefusedError(f"{key} is not a number of at most {largest:g}")
     return float(value)
+
+
+def required(values: Mapping[str, Any], key: str, largest: float = LARGEST_SECONDS) -> float:
+    """A number that must be there. Raises RefusedError."""
+    value = _number(values, key, largest)
+    if value is None:
+        raise RefusedError(f"{key} is missing")
+    return value
 
 
 def _vector(values: Mapping[str, Any], key: str) -> tuple[float, float, float] | None:

@@ -31,7 +31,7 @@ from skygcs.ext.plans.flight.flight_situation import Situation
 from skygcs.ext.plans.flight.flight_steps import FlightStep, from_where, plan_of, rest_of
 from skygcs.ext.plans.flight.guidance import Guidance
 from skygcs.ext.plans.flight.plan_states import PlanState
-from skygcs.ext.plans.flight.sights import Departure, DepartureCause, Measurement
+from skygcs.ext.plans.flight.sights import Measurement
 from skygcs.ext.plans.flight_check import (
     Checked,
     ChosenWay,
@@ -398,7 +398,8 @@ class PlanRunner:
         others = [
             name
             for name, sight in sights.items()
-            if not sight.on_ground and (sight.piloted or _stays_away(sight, execution.left.get(name)))
+            if not sight.on_ground
+            and (sight.piloted(execution.left.get(name)) or (name in execution.left and _out_of_reach(sight)))
         ]
         # nobody flies, or a person insists: without a certificate
         flying = [name for name in execution.names if not sights[name].on_ground and name not in others]
@@ -520,17 +521,6 @@ def _out_of_reach(sight: Measurement) -> bool:
     return sight.forgotten or sight.place_m is None or sight.age_s > POSITION_SILENT_S
 
 
-def _flown_by_pilot(sight: Measurement, left: Departure) -> bool:
-    """True for one that was taken out of our hands, unless its autopilot holds it by now: a failsafe ends so, too, and
-    leaves a vehicle that waits for an order until its battery is empty."""
-    return left.why is DepartureCause.PILOT and not sight.holds
-
-
-def _stays_away(sight: Measurement, left: Departure | None) -> bool:
-    """True for one that left, and is not to be landed with the others."""
-    return left is not None and (_out_of_reach(sight) or _flown_by_pilot(sight, left))
-
-
 def _departed(execution: Execution, sights: Mapping[str, Measurement]) -> frozenset[str]:
     """Names of the vehicles that do not follow."""
     return frozenset(name for name in execution.names if sights[name].left is not None or name in execution.left)
@@ -553,7 +543,7 @@ def _returning(
             staying.append(name)
         elif sight.on_ground:
             out.append(name)
-        elif _flown_by_pilot(sight, left):
+        elif sight.taken(left):
             out.append(name)
             reasons.append(f"{name} is flown by its pilot: have it land or hold, or insist with force")
         elif sight.speed_mps > SLOW_MPS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from skygcs.core.trajectory import ClockState
-from skygcs.core.trajectory.replicated_clock import MAX_NOTED, ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.replicated_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
 from skygcs.errors import RefusedError
 
 LEAD_S = 0.8
@@ -81,9 +81,20 @@ def test_orders_are_refused_as_by_any_clock_and_not_given_twice() -> None:
         ours.set_speed(10.5, 0.5)
 
 
-def test_orders_that_wait_are_bounded() -> None:
-    _, theirs, _ = pair()
+def test_orders_that_wait_are_bounded_and_a_stop_always_has_room() -> None:
+    ours, theirs, under_way = pair()
+    ours.at(2.0)
     for k in range(MAX_NOTED):
+        ours.set_speed(2.0, 0.5 + 0.01 * k)
+    for give in (lambda: ours.set_speed(2.0, 0.5), lambda: (ours.pause(2.0), ours.resume(2.0))):
+        with pytest.raises(RefusedError, match="wait"):
+            give()
+    ours.abort(2.0)
+    for order in under_way:
+        theirs.note(order)
+    assert [order.kind for order in under_way[MAX_NOTED:]] == ["pause", "abort"]
+    assert ours.at(20.0).state is theirs.at(20.0).state is ClockState.ABORTED
+    for k in range(MAX_NOTED + STOP_ROOM):
         theirs.note(ClockOrder("pause", 100.0 + k))
     with pytest.raises(RefusedError, match="wait"):
         theirs.note(ClockOrder("pause", 1.0))

@@ -133,3 +133,10 @@ def test_by_whatever_interleaving_the_effective_order_is_the_newest_that_was_not
             took += [(number, of)] if may_have_effect(ends) else []
         assert ledger.effective == max(number for number, _ in took)
         assert ledger.effective_serial == max(serial for _, serial in took)
+
+
+def test_what_has_changed_the_mode_counts_though_it_is_refused_then() -> None:
+    ledger = OrderLedger(FIRST)
+    number = ledger.begins("hold", 5, ends_flight=False)
+    ledger.ended(number, DENIED, changed=True)
+    assert (ledger.effective, ledger.effective_order, ledger.is_behind(4)) == (number, "hold", True)

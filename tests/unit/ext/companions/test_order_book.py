@@ -38,8 +38,6 @@ def test_what_comes_too_late_or_after_a_newer_order_is_refused() -> None:
     refused = admit(of, 4)
     assert isinstance(refused, Refused) and "newer" in refused.why
     assert admit(of, 2, moves=False) == Fresh(), "gains move nothing"
-    assert of.admit("g1", "s1", 3, moves=True, in_turn=False, until_s=9.0, now=1.0) == Fresh()
-    assert of.newest_moving == 5
 
 
 def test_orders_of_another_session_or_ground_are_refused() -> None:

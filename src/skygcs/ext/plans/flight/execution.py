@@ -659,7 +659,7 @@ class Execution:
         self.waits_for = tuple(n for names in self._rounds for n in names if not sights[n].on_ground)
         if not self._rounds:
             return []
-        gone = [n for n in self._rounds[0] if not sights[n].on_ground and (sights[n].forgotten or sights[n].piloted)]
+        gone = [n for n in self._rounds[0] if not sights[n].on_ground and (sights[n].forgotten or sights[n].piloted())]
         why = "was forgotten" if gone and sights[gone[0]].forgotten else "was taken by its pilot"
         if gone and len(self._rounds) > 1:
             return self._certify_anew(f"{_named(gone)} {why} while it landed", gone[0])
@@ -667,7 +667,7 @@ class Execution:
             if gone:
                 self._report(f"{_named(gone)} {why} while it landed", gone[0])
             del self._rounds[0]
-            return self._next_round([n for n in self.names if sights[n].piloted])
+            return self._next_round([n for n in self.names if sights[n].piloted()])
         return []
 
     def _next_round(self, piloted: Collection[str] = ()) -> list[Order]:

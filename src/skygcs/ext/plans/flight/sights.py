@@ -61,10 +61,15 @@ class Measurement(NamedTuple):
     by_failsafe: bool = False
     """That mode may be of its own failsafe, as nobody is seen to have sticks: it is landed all the same."""
 
-    @property
-    def piloted(self) -> bool:
-        """True if somebody else flies it, and it is not to be landed."""
-        return self.unexpected_mode is not None and not self.by_failsafe
+    def taken(self, left: Departure | None) -> bool:
+        """True for one that was taken out of our hands, unless its autopilot holds it by now: a failsafe ends so, too,
+        and leaves a vehicle that waits for an order until its battery is empty. ``left``: its departure."""
+        return left is not None and left.why is DepartureCause.PILOT and not self.holds
+
+    def piloted(self, left: Departure | None = None) -> bool:
+        """True if somebody else flies it, and it is not to be landed. Of one that was under control its departure
+        shows that, of another one its mode; a failsafe is nobody."""
+        return (self.unexpected_mode is not None or self.taken(left)) and not self.by_failsafe
 
 
 class Pair(NamedTuple):
