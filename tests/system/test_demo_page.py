@@ -54,7 +54,7 @@ def demo(folder: Path, *, terminal: bool, display: bool) -> Iterator[tuple[str, 
     try:
         yield _address(ours, process), opened
     finally:
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGHUP if terminal else signal.SIGINT)
         deadline = time.monotonic() + HANG_S
         while process.poll() is None and time.monotonic() < deadline:
             _read(ours)  # a full pipe would hold it

@@ -47,6 +47,7 @@ async def cancelled_after(turns: int, pipes: Mapping[str, Any]) -> asyncio.subpr
             await task
         return None
     process = await task
+    assert os.getsid(process.pid) == process.pid, "a terminal's signal is for us, not for it"
     process.kill()
     if process.stdin is not None:
         process.stdin.close()

@@ -38,6 +38,7 @@ from skygcs.config.models import (
 from skygcs.config.tables import Model
 from skygcs.config.web import WebConfig
 from skygcs.daemon import Daemon
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import SkygcsError
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, connect
@@ -216,7 +217,7 @@ def _tables() -> dict[str, Model]:
 
 @contextlib.asynccontextmanager
 async def _running(daemon: Daemon) -> AsyncIterator[None]:
-    serving = asyncio.create_task(serve_until_signal(daemon), name="daemon")
+    serving = asyncio.create_task(serve_until_signal(daemon, endings=ending_signals()), name="daemon")
     ready = asyncio.create_task(daemon.ready.wait(), name="daemon ready")
     await asyncio.wait({serving, ready}, return_when=asyncio.FIRST_COMPLETED)
     ready.cancel()

@@ -12,7 +12,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
@@ -33,22 +33,26 @@ EXIT_INTERRUPTED = 130
 
 
 async def serve_until_signal(
-    daemon: Daemon, on_ready: Callable[[], None] | None = None, *, load: Callable[[], FleetConfig] | None = None
+    daemon: Daemon,
+    on_ready: Callable[[], None] | None = None,
+    *,
+    load: Callable[[], FleetConfig] | None = None,
+    endings: Iterable[signal.Signals] = (signal.SIGINT, signal.SIGTERM),
 ) -> None:
-    """Run the daemon until SIGINT or SIGTERM; notify a service manager (sd_notify) of start, reload and stop.
+    """Run the daemon until one of ``endings``; notify a service manager (sd_notify) of start, reload and stop.
 
-    ``load`` reads the fleet file anew on SIGHUP; without it SIGHUP has its usual effect.
+    ``load`` reads the fleet file anew on SIGHUP.
     """
     structlog = import_structlog()
     # signals
     log = structlog.get_logger("skygcs")
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, daemon.stop)
-
     reloader = _Reloader(daemon, load)
+    handled = dict.fromkeys(endings, daemon.stop)
     if load is not None:
-        loop.add_signal_handler(signal.SIGHUP, reloader.request)
+        handled[signal.SIGHUP] = reloader.request
+    for number, handler in handled.items():
+        loop.add_signal_handler(number, handler)
 
     async def announce() -> None:
         await daemon.ready.wait()
@@ -79,7 +83,7 @@ async def serve_until_signal(
         for task in tasks:
             task.cancel()
         _notify_service_manager("STOPPING=1")
-        for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if load is not None else [])):
+        for number in handled:
             loop.remove_signal_handler(number)
     log.info("skygcs has stopped")
 

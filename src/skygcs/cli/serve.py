@@ -39,13 +39,16 @@ def main(argv: list[str] | None = None) -> None:
     args = _arguments(sys.argv[1:] if argv is None else argv)
     try:
         code = args.run(args)
+        print(end="", flush=True)
     except SkygcsError as error:
         print(f"skygcs: {visible(str(error), lines=True)}", file=sys.stderr)
         code = EXIT_FAILED
     except KeyboardInterrupt:
         code = EXIT_OK
-    except BrokenPipeError:
+    except OSError as error:  # stdout may be a pipe without a reader, a terminal that is gone, a file on a full disk
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            print(f"skygcs: {visible(str(error))}", file=sys.stderr)
         code = EXIT_FAILED
     sys.exit(code)
 

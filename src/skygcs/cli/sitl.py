@@ -344,7 +344,6 @@ class _Sitl:
                     stdin=asyncio.subprocess.DEVNULL,
                     stdout=log,
                     stderr=log,
-                    start_new_session=True,
                     preexec_fn=_die_with_parent,
                 )
         except OSError as error:

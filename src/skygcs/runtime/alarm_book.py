@@ -103,11 +103,11 @@ class AlarmBook:
 
     def _take(self, signal: Signal, *, logged: bool) -> None:
         """``logged``: the event that it comes from is in the log."""
-        before = self._alarms.marks()
+        before = self._alarms.changes
         alarm = self._alarms.take(signal, time.time())
         if alarm is not None:
             self._publish(alarm, "raised", alarm.text, logged=logged)
-        elif self._alarms.marks() != before:
+        elif self._alarms.changes != before:
             self._changed = True
             if not signal.raised:
                 self._events.publish(Event(KIND, signal.vehicle, None, f"{signal.kind} is over", {"change": "over"}))

@@ -61,6 +61,10 @@ MAX_VEHICLES_OF_LINK = 250
 """System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats. One that
 the fleet file names always has its place."""
 
+ROOM_AGAIN_S = 1.0
+"""From one look for a place on a link where there was none to the next. To forget a vehicle and to meet another costs
+some 5 ms; a peer that makes up thousands a second is to cost no more than this."""
+
 OWN_IDS_AGAIN_S = 60.0
 """Between two reports of an autopilot that has our own ids."""
 
@@ -120,6 +124,7 @@ class Fleet:
         self.orders = FleetOrders(self, self._services, self.monitor, self.returns, self.turns)
         self.sleep = SleepWatch(self._woke, loop)
         self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
+        self._room_sought_at: dict[str, float] = {}  # by link, where there was none
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`SharedIds.others`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
@@ -485,7 +490,7 @@ class Fleet:
         if key == self._own_key:
             self._refuse_own_ids(frame, channel_label, now)
             return
-        if not self._has_place(frame.sysid, channel_label):
+        if not self._has_place(frame.sysid, channel_label, now):
             self.refused_vehicles += 1
             if self.refused_vehicles == 1:
                 text = (
@@ -598,15 +603,19 @@ class Fleet:
             return []
         return [(text, c.compid) for c in self.components.of_system(key >> 8) for text in c.component.texts]
 
-    def _has_place(self, sysid: int, link: str) -> bool:
-        """True if there is room for a new vehicle; if necessary one that is lost is removed."""
-        if sysid in self._configs and not any(key >> 8 == sysid for key in self.vehicles):
+    def _has_place(self, sysid: int, link: str, now: float) -> bool:
+        """True if there is room for a new vehicle; if necessary one that is lost is removed, on each link one in
+        `ROOM_AGAIN_S`."""
+        if len(self.vehicles) < MAX_VEHICLES_OF_LINK or (sysid in self._configs and not self._of_system.get(sysid)):
             return True
+        if now - self._room_sought_at.get(link, -math.inf) < ROOM_AGAIN_S:
+            return False
         unnamed = [key for key in self.vehicles if key >> 8 not in self._configs]
         on_link = [key for key in unnamed if self._met_on[key] == link]
-        if len(on_link) >= MAX_VEHICLES_OF_LINK:
-            return self._drop_lost(on_link)
-        return len(self.vehicles) < MAX_VEHICLES or self._drop_lost(unnamed)
+        if len(on_link) < MAX_VEHICLES_OF_LINK and len(self.vehicles) < MAX_VEHICLES:
+            return True
+        self._room_sought_at[link] = now
+        return self._drop_lost(on_link if len(on_link) >= MAX_VEHICLES_OF_LINK else unnamed)
 
     def _drop_lost(self, keys: list[int]) -> bool:
         """Forget one lost vehicle of these: a disarmed one before an armed one, and that which is silent for longest.

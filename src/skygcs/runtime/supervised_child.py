@@ -112,7 +112,8 @@ class SupervisedChild:
     def _start(self, wanted: object) -> subprocess.Popen[bytes]:
         """In a thread. A process that is there only after its `run` or after `close` is ended at once. Raises
         OSError."""
-        process = subprocess.Popen(self._line, stdin=subprocess.PIPE)
+        # in a session of its own: Ctrl-C ends the daemon, and a hang-up has it read its file, but neither ends this
+        process = subprocess.Popen(self._line, stdin=subprocess.PIPE, start_new_session=True)
         with self._start_lock:
             if self._closed or self._wanted is not wanted:
                 self._end(process)

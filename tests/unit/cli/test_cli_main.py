@@ -175,3 +175,10 @@ def test_the_help_of_all_commands_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code, *HEAVY], capture_output=True, text=True, timeout=120)
     assert done.stderr.splitlines()[-1] == "[]"
+
+
+def test_an_output_that_takes_nothing_is_one_line_and_a_failure() -> None:
+    with open("/dev/full", "w") as full:
+        line = [sys.executable, "-m", "skygcs", "completion", "bash"]
+        done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (1, "skygcs: [Errno 28] No space left on device\n")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
+import signal
 import socket
 from pathlib import Path
 
@@ -47,12 +49,12 @@ async def test_the_service_manager_hears_when_it_is_up_fed_and_stopping(
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     monkeypatch.setenv("WATCHDOG_USEC", "40000")
     daemon = made_daemon(tmp_path)
-    serving = asyncio.create_task(serve_until_signal(daemon))
+    serving = asyncio.create_task(serve_until_signal(daemon, endings=[signal.SIGHUP]))
     loop = asyncio.get_running_loop()
     said: list[bytes] = []
     while b"READY=1" not in said or said.count(b"WATCHDOG=1") < 3:
         said.append(await asyncio.wait_for(loop.sock_recv(manager, 64), 10))
-    daemon.stop()
+    os.kill(os.getpid(), signal.SIGHUP)
     await serving
     while said[-1] != b"STOPPING=1":
         said.append(await asyncio.wait_for(loop.sock_recv(manager, 64), 10))

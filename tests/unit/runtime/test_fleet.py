@@ -342,7 +342,10 @@ async def test_a_lost_vehicle_gives_its_place_to_one_that_is_heard() -> None:
     assert listening.fleet.find(250).vehicle.connected
     assert 1 << 8 | 1 in listening.fleet.vehicles, "which is heard"
     assert 2 << 8 | 1 not in listening.fleet.vehicles, "which was lost, and met before all others"
-    assert [e.vehicle for e in listening.events if e.data.get("forgotten")] == ["v2"]
+    listening.hear(Voice(249).beat(), 60.9)
+    assert [e.vehicle for e in listening.events if e.data.get("forgotten")] == ["v2"], "one a second"
+    listening.hear(Voice(249).beat(), 61.0)
+    assert [e.vehicle for e in listening.events if e.data.get("forgotten")] == ["v2", "v3"]
 
 
 async def test_a_vehicle_that_fades_for_a_moment_is_not_the_first_to_go() -> None:

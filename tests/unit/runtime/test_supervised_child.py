@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import subprocess
 import sys
@@ -54,6 +55,7 @@ async def test_after_a_fault_of_ours_it_runs_again_and_after_close_it_does_not(m
         task = asyncio.create_task(child.run())
         await until(lambda: child.status()["running"], "it runs")
         pids.append(child.status()["pid"])
+        assert os.getsid(pids[-1]) == pids[-1], "a terminal's signal is for the daemon, not for it"
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
     assert len({*pids}) == 2 and child.restarts == 0

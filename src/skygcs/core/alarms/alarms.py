@@ -15,7 +15,7 @@ and what followed from it already and nobody has acknowledged goes into it.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from skygcs.core.alarms.kinds import CONSEQUENCES, EVERY, Severity, Signal, as_text
@@ -56,7 +56,10 @@ class Alarm:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""
-        return asdict(self)
+        return {name: getattr(self, name) for name in _FIELDS} | {"consequences": dict(self.consequences)}
+
+
+_FIELDS = tuple(each.name for each in fields(Alarm))
 
 
 _Key = tuple[str, str | None, str | None]
@@ -66,6 +69,8 @@ class Alarms:
     """Those of one daemon."""
 
     def __init__(self) -> None:
+        self.changes = 0
+        """Number of changes; `acknowledge` is none."""
         self.displaced = 0
         """Alarms that made room for others."""
         self._by_key: dict[_Key, Alarm] = {}
@@ -75,16 +80,13 @@ class Alarms:
         """Open alarms first, the newest first."""
         return sorted(self._by_key.values(), key=lambda alarm: (not alarm.open, -alarm.number))
 
-    def marks(self) -> tuple[tuple[int, bool, int], ...]:
-        """Return what changes with every change: number, condition and count of each."""
-        return tuple((a.number, a.active, a.count + sum(a.consequences.values())) for a in self._by_key.values())
-
     def take(self, signal: Signal, now_unix_s: float) -> Alarm | None:
         """A condition begins or is over. Returns the alarm that a person has to be told of anew: a new one, or one that
         became worse; None: nothing new."""
         if not signal.raised:
             self._end(signal, now_unix_s)
             return None
+        self.changes += 1
         if (cause := self._cause(signal)) is not None:
             cause.consequences[signal.kind] = cause.consequences.get(signal.kind, 0) + 1
             cause.changed_unix_s = now_unix_s
@@ -159,6 +161,7 @@ class Alarms:
             if signal.other is not None and alarm.other != signal.other:
                 continue
             alarm.active, alarm.changed_unix_s = False, now_unix_s
+            self.changes += 1
             if not alarm.open:
                 self._drop(alarm)
 
