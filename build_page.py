@@ -37,6 +37,7 @@ def main() -> int:
     options = parser.parse_args()
     try:
         if options.check or not up_to_date():
+            print("building the web page; the first time its packages are fetched", file=sys.stderr, flush=True)
             build(check=options.check)
     except BuildError as error:
         print(f"the web page was not built: {error}", file=sys.stderr)

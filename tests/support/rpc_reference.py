@@ -64,8 +64,10 @@ def shared(methods: Iterable[Method[Any]]) -> dict[tuple[str, str, str], str]:
 
 
 def line(param: tuple[str, str, str], default: str | None = None) -> str:
-    """A type that ends in ``?`` may be null, which is the default, too."""
+    """A type that ends in ``?`` may be null, which is the default, too. A boolean that is false has no type."""
     name, type_name, text = param
+    if type_name == "boolean" and default is None:
+        return f"- `{name}`: {text}"
     if default is None and type_name.endswith(NULL):
         type_name = f"{type_name.removesuffix(NULL).removesuffix(',')}?"
     given = f"{type_name}, {default}" if default else type_name
