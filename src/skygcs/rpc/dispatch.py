@@ -349,8 +349,8 @@ class Dispatcher(Generic[C]):
         return tuple(self._methods.values())
 
     async def described(self, describe: Callable[[tuple[Method[C], ...]], T]) -> T:
-        """What ``describe`` makes of all methods. It is called beside the loop, once for all that wait, and keeps what
-        it made last."""
+        """Return what ``describe`` makes of all methods. It is called beside the loop, once for all that wait, and
+        keeps what it made last."""
         methods = await self.every_method()
         if self._on_demand is not None:
             await self._on_demand.once_beside("rpc.discover", lambda: describe(methods))
