@@ -11,7 +11,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
 from skygcs.rpc import error_codes
-from skygcs.rpc.dispatch import Method
+from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
 from skygcs.rpc.order_reports import OrderReports
 from skygcs.rpc.slices import Slices
@@ -115,8 +115,9 @@ class Context(Protocol):
         ...
 
     def notify(self, method: str, params: JsonObject) -> None: ...
-    async def every_method(self) -> tuple[Method[Context], ...]:
-        """All methods that the server has or may have."""
+    async def described(self, describe: Callable[[tuple[Method[Context], ...]], Encoded]) -> Encoded:
+        """Return what ``describe``, which keeps what it made last, makes of all methods that the server has or may
+        have; it is called beside the loop."""
         ...
 
 
@@ -154,8 +155,8 @@ class ReportingContext:
     def notify(self, method: str, params: JsonObject) -> None:
         self._session.notify(method, params)
 
-    async def every_method(self) -> tuple[Method[Context], ...]:
-        return await self._session.every_method()
+    async def described(self, describe: Callable[[tuple[Method[Context], ...]], Encoded]) -> Encoded:
+        return await self._session.described(describe)
 
 
 class HasDict(Protocol):

@@ -56,6 +56,7 @@ MAX_LISTED = 2000
 
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
+T = TypeVar("T")
 
 
 class InvalidParams(SkygcsError):
@@ -234,6 +235,10 @@ class OnDemand(Protocol):
         """Add all that can be added."""
         ...
 
+    async def once_beside(self, name: str, function: Callable[[], object]) -> None:
+        """Call a function while the loop goes on, once for all that wait for it by this name, which has a dot."""
+        ...
+
 
 class Gate(Protocol):
     """Way of all calls to their handlers; `rpc.work_gate.WorkGate`."""
@@ -342,6 +347,14 @@ class Dispatcher(Generic[C]):
         if self._on_demand is not None:
             await self._on_demand.add_all()
         return tuple(self._methods.values())
+
+    async def described(self, describe: Callable[[tuple[Method[C], ...]], T]) -> T:
+        """Return what ``describe`` makes of all methods. It is called beside the loop, once for all that wait, and
+        keeps what it made last."""
+        methods = await self.every_method()
+        if self._on_demand is not None:
+            await self._on_demand.once_beside("rpc.discover", lambda: describe(methods))
+        return describe(methods)
 
     async def _start_later(
         self,

@@ -98,6 +98,14 @@ class MethodsOnDemand:
             with contextlib.suppress(RefusedError):
                 await self.add(word)
 
+    async def once_beside(self, name: str, function: Callable[[], object]) -> None:
+        """Call a function while the loop goes on, once for all that wait for it by this name, which has a dot."""
+
+        async def call() -> None:
+            await self._beside(function)
+
+        await self._once(name, call)
+
     async def _words_of_extensions(self) -> Collection[str]:
         if self._words is None:
             await self._once("", self._look)

@@ -26,7 +26,7 @@ from skygcs.events import Event
 from skygcs.rpc import client_peer, dispatch, error_codes
 from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.context import RELAY, Context, JsonObject, ReportingContext, Services
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method
+from skygcs.rpc.dispatch import Dispatcher, Encoded, InvalidParams, LimitExceeded, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
@@ -172,8 +172,8 @@ class Session(ClientPeer):
             raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
         self._hub.feeds.remove(subscription)
 
-    async def every_method(self) -> tuple[Method[Context], ...]:
-        return await self._hub.dispatcher.every_method()
+    async def described(self, describe: Callable[[tuple[Method[Context], ...]], Encoded]) -> Encoded:
+        return await self._hub.dispatcher.described(describe)
 
     def relay_operator(self) -> None:
         """Its requests come from a program on behalf of a person who may have left: they do not count as input."""

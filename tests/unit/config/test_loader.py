@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.config.loader import load_fleet, parse_link
+from skygcs.config.loader import MAX_PROBLEMS, load_fleet, parse_link
 from skygcs.config.models import FleetConfig, ReplayLinkConfig, SerialLinkConfig
 from skygcs.errors import ConfigError
 from support.examples import examples
@@ -277,6 +277,12 @@ def test_a_mistake_is_named_with_its_key_and_line(tmp_path: Path, text: str, com
 )
 def test_what_is_right_is_accepted(tmp_path: Path, text: str) -> None:
     assert isinstance(load(tmp_path, text), FleetConfig)
+
+
+def test_of_many_mistakes_the_first_are_named(tmp_path: Path) -> None:
+    more, first, *others = problems(tmp_path, "\n".join(f"k{n} = 1" for n in range(3 * MAX_PROBLEMS)))
+    assert more == "file: has more problems than these: 300 were found"
+    assert first.startswith("k0 (line 1): unknown key") and len(others) == MAX_PROBLEMS - 1
 
 
 def test_a_wrong_value_hides_no_conflict_and_invents_none(tmp_path: Path) -> None:

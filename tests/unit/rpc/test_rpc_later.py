@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import gc
 import json
 import sys
@@ -168,6 +169,16 @@ async def test_every_method_is_imported_beside_the_loop(module: Path, monkeypatc
     assert not asked.done() and PART.module not in sys.modules
     server.go_on.set()
     assert [method.name for method in await asked] == ["here", "part.set", "part.get"]
+    # and so is their description made, once for all that ask
+    server.go_on.clear()
+    made: list[int] = []
+    describe = functools.cache(lambda methods: made.append(len(methods)) or len(made))
+    both = [asyncio.ensure_future(server.dispatcher.described(describe)) for _ in range(2)]
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert made == []
+    server.go_on.set()
+    assert (await asyncio.gather(*both), made) == ([1, 1], [3])
 
 
 async def test_no_other_may_take_a_name_that_comes_later(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
