@@ -181,7 +181,9 @@ def departing(
     for one in ordered:
         way = one.way()
         taken = [other for other in (*moving, *leaving.values()) if too_near(way, other)]
+        yield
         taken += [other for other in fixed if _blocks(one, way, other)]
+        yield
         standing_there = [
             other
             for other in ordered
@@ -194,8 +196,8 @@ def departing(
         yield
     space = [*moving, *leaving.values(), *fixed]
     fenced = set[int]()
-    climb = _climbs(ordered, blocked, space, fenced)
-    over, stuck = _over_those_that_stay(ordered, blocked, space, stays, fenced)
+    climb = yield from _climbs(ordered, blocked, space, fenced)
+    over, stuck = yield from _over_those_that_stay(ordered, blocked, space, stays, fenced)
     waits_for = {
         key: tuple(dict.fromkeys((*(way.name for way in taken), *(other.name for other in there))))
         for key, (taken, there) in blocked.items()
@@ -240,7 +242,7 @@ def _climbs(
     blocked: Mapping[int, tuple[list[Way], list[Returning]]],
     taken: Sequence[Way],
     fenced: set[int],
-) -> dict[int, float]:
+) -> Generator[None, None, dict[int, float]]:
     """Return which vehicles climb, and to where, so that one of those leaves that only wait for others that wait: the
     one with the fewest in its way. ``fenced`` gets those whose ceilings are lower."""
     for one in sorted(ordered, key=lambda one: len(blocked[one.key][1]) if one.key in blocked else 0):
@@ -249,6 +251,7 @@ def _climbs(
         goals = _above(one, blocked[one.key][1])
         found: dict[int, float] = {}
         for other in blocked[one.key][1]:
+            yield
             up = replace(other.place(), legs=(column(other.here, goals[other.key]),))
             rest = [*taken, *(third.place() for third in ordered if third.key != other.key)]
             if goals[other.key] + other.height.climb_m > other.ceiling_m:
@@ -266,7 +269,7 @@ def _over_those_that_stay(
     taken: Sequence[Way],
     stays: Collection[int],
     fenced: set[int],
-) -> tuple[dict[int, float], dict[int, tuple[str, ...]]]:
+) -> Generator[None, None, tuple[dict[int, float], dict[int, tuple[str, ...]]]]:
     """One that may climb now above those that stay in its way home, with the height; and those that cannot get by."""
     climb: dict[int, float] = {}
     stuck: dict[int, tuple[str, ...]] = {}
@@ -274,6 +277,7 @@ def _over_those_that_stay(
         staying = [way for way in blocked[one.key][0] if way.key in stays] if one.key in blocked else []
         if not staying or math.isinf(one.highest_m):
             continue
+        yield
         goal_m = one.here[2]
         for way in staying:
             ratio = pair_margin(one.footprint, way.footprint).downwash_ratio
