@@ -502,7 +502,7 @@ class Returns:
         return decided
 
     def _join_those_that_come_home(self, now: float) -> None:
-        """By whatever order, pilot or failsafe: their ways are those of a return."""
+        """Join those that come home by whatever order, pilot or failsafe: their ways are those of a return."""
         for key, actor in self._vehicles.items():
             comes = actor.vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
             if key not in self._members and comes and is_placed(actor.vehicle, now):
@@ -646,7 +646,7 @@ class Returns:
         return f"{_named(names)} {does} in its way home{low}"
 
     def _below(self, actor: VehicleActor) -> list[str]:
-        """Those onto which it would come down where it is, in the air or on the ground."""
+        """Name those onto which it would come down where it is, in the air or on the ground."""
         now = self._loop.time()
         one = self._returning(actor, now)
         if one is None:

@@ -86,7 +86,7 @@ def set_mode(vehicle: Vehicle, now: float, name: str, *, force: bool = False) ->
 
 
 def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True, force: bool = False) -> Plan:
-    """``force``: also above its own fence."""
+    """Take off to a height above the ground it stands on. ``force``: also above its own fence."""
     require_connected(vehicle, now)
     if not (math.isfinite(height_m) and 0 < height_m <= MAX_TAKEOFF_M):
         raise RefusedError(f"a takeoff height of {rounded(height_m)} m is not above 0 and at most {MAX_TAKEOFF_M:g} m")
