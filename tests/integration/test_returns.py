@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
+from skygcs.runtime import returns
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
 from support.examples import covered_by_other_flights
-from support.flown import GOING_HOME, aloft, flown
+from support.flown import GOING_HOME, Flown, aloft, flown
 from support.planned import MARGIN_M, least_distance
 from support.returning import all_down, swapped
 
@@ -28,7 +30,8 @@ async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind
     async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         await swapped(gcs)
         since = gcs.now
-        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        by_mode = ("vehicles.mode", {"mode": "RTL"}) if "ardupilot" in kind else ("vehicles.rtl", {})  # one order
+        outcomes = (await gcs(by_mode[0], targets="all", **by_mode[1]))["outcomes"]
         assert all(outcome["ok"] for outcome in outcomes.values()), "it is never refused"
         assert outcomes["v1"]["message"] == "it holds until v2 is out of its way home, and returns then"
         await all_down(gcs)
@@ -142,3 +145,68 @@ async def test_three_in_each_others_ways_come_home_apart_although_the_order_is_r
         await gcs("vehicles.rtl", targets="v2,v3")
         await all_down(gcs, 500.0)
         assert least_distance(gcs, since)[0] > MARGIN_M
+
+
+@pytest.mark.parametrize("targets", ["v1", "v1,v3"])
+async def test_one_that_hovers_in_the_way_home_is_flown_over(tmp_path: Path, targets: str) -> None:
+    """It was not ordered to return, so that nobody looked at it: v1 flew through it."""
+    async with aloft(tmp_path, px4=0, ardupilot=3, conditions=WINDY) as gcs:
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 30.0, 10.0], force=True)
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[0.0, 15.0, 15.0], force=True)
+        await asyncio.sleep(20.0)
+        since = gcs.now
+        outcome = (await gcs("vehicles.rtl", targets=targets))["outcomes"]["v1"]
+        assert outcome["ok"] and outcome["message"].startswith("it holds until v2 is out of its way home"), outcome
+        await gcs.until(lambda: not gcs.sim("v1").armed, 120.0)
+        assert any("above v2, and returns then" in text for text in gcs.texts(since, "command", "v1"))
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
+async def test_one_alone_is_given_up_above_another_and_returns_when_it_is_ordered_again(tmp_path: Path) -> None:
+    async with aloft(tmp_path, px4=2) as gcs:
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 20.0, 10.0], force=True)
+        await asyncio.sleep(12.0)
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[0.0, 0.0, 6.0], force=True)  # above the home of v1
+        await asyncio.sleep(12.0)
+        since = gcs.now
+        await gcs("vehicles.rtl", targets="v1")
+        await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", "v1")), 150.0)
+        (text,) = [t for t in gcs.texts(since, "command", "v1") if "does not return" in t]
+        assert "v2 stays in its way home" in text and "skygcs-cli rtl v1" in text
+        assert gcs.is_safe("v1")
+        outcome = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]
+        assert outcome["message"] == "returning to launch" and gcs.sim("v1").mode in GOING_HOME, "insisted on"
+
+
+def faults(gcs: Flown) -> list[str]:
+    """Those that a test has made: `flown` allows none."""
+    texts = [t.text for t in gcs.told if t.kind == "fault"]
+    gcs.told[:] = [t for t in gcs.told if t.kind != "fault"]
+    return texts
+
+
+async def test_a_fault_in_the_decision_brings_them_home_one_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sent nobody home."""
+    async with aloft(tmp_path, px4=0, ardupilot=2) as gcs:
+        monkeypatch.setattr(returns, "departing", mock.Mock(side_effect=ZeroDivisionError("of a test")))
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        assert outcomes["v1"]["message"] == "returning to launch", outcomes
+        assert outcomes["v2"]["message"] == "it holds until v1 is out of its way home, and returns then"
+        await gcs.until(lambda: not gcs.sim("v1").armed, 100.0)
+        assert gcs.sim("v2").mode not in GOING_HOME
+        await all_down(gcs)
+        (text,) = faults(gcs)
+        assert "they return one at a time" in text
+
+
+async def test_a_fault_before_the_decision_sends_each_home_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with aloft(tmp_path, px4=2) as gcs:
+        monkeypatch.setattr(returns, "is_placed", mock.Mock(side_effect=ZeroDivisionError("of a test")))
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        assert {outcome["message"] for outcome in outcomes.values()} == {"returning to launch"}
+        (text,) = faults(gcs)
+        assert "each returns at once" in text

@@ -128,7 +128,9 @@ async def test_one_that_was_ordered_home_before_and_is_lost_keeps_nobody_in_the_
     async with aloft(tmp_path, px4=0, ardupilot=3, settings={"vehicle_timeout_s": 2.0}) as gcs:
         await crossed(gcs)
         since = gcs.now
-        await gcs("vehicles.rtl", targets="v1")
+        for _ in range(2):  # v2 is in its way: it waits for that only once
+            await gcs("vehicles.rtl", targets="v1")
+        assert sent_home(gcs, "v1", since)
         gcs.muted.add(1)
         await gcs.until(lambda: any(t.kind == "vehicle_lost" and t.vehicle == "v1" for t in gcs.told), 10.0)
         await gcs("vehicles.rtl", targets="v2,v3")

@@ -116,7 +116,7 @@ class Fleet:
         self.journal = UndoJournal(own.log_dir / "undo")
         self.undo = UndoOrders(self.journal, self.vehicles, loop.time, self.disk, on_event)
         self.monitor = SeparationMonitor(config.monitor, self.vehicles, loop, on_event)
-        self.returns = Returns(self.monitor.footprint, loop, on_event)
+        self.returns = Returns(self.monitor, self.vehicles, loop, on_event)
         param_cache = param_cache or ParamCache(None)
         param_cache.disk = self.disk
         self._services = self._new_services(param_cache, probes=probes)

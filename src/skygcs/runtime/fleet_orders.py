@@ -4,9 +4,9 @@ outcomes by name."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.monitor.mission_ways import MissionRun
@@ -14,6 +14,7 @@ from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders, stop
+from skygcs.core.vehicle.autopilot import has_copter_mode
 from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_plan import Plan
@@ -28,7 +29,7 @@ from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.returns import Returns, Waiting, read_return_height
 from skygcs.runtime.separation_monitor import Destination, SeparationMonitor
-from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask, in_turns
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
 
@@ -61,6 +62,15 @@ CARRIED_ON = frozenset[Order](
 NEVER_LATE = frozenset[Order]({VehicleActor.stop, onboard_orders.upload_plan})
 """Orders that a newer one does not make void while they wait: the stop has the last word, an upload moves nothing."""
 
+MODE_ORDERS: Mapping[str, Order] = {
+    "AUTO.LAND": VehicleActor.land,
+    "AUTO.RTL": VehicleActor.rtl,
+    "LAND": VehicleActor.land,
+    "RTL": VehicleActor.rtl,
+}
+"""Modes of a copter that are what an order does: ordering the mode in flight is giving that order, with all that the
+fleet does for it. ``force`` sets the mode alone."""
+
 UNKNOWN_WAY = f"so it is not known who comes near whom; {orders.FORCE_HINT}"
 
 OTHERS_READ_S = 5.0
@@ -92,8 +102,6 @@ class Unreported:
     def ended(self, vehicle: str, outcome: Any, /) -> None:
         return
 
-
-Made = TypeVar("Made")
 
 Actor = VehicleActor | ComponentActor
 """A vehicle or component, which takes orders."""
@@ -203,6 +211,8 @@ class FleetOrders:
             raise RefusedError("skygcs is shutting down: it takes no further orders but land, rtl, hold, stop, disarm")
         vehicles = [] if order in COMPONENT_ORDERS else self._targets.resolve(expression)
         actors: list[Actor] = [*vehicles] or self._targets.resolve_any(expression)
+        if order is VehicleActor.set_mode and (same := self._order_of_mode(vehicles, **arguments)) is not None:
+            order, name, arguments = same, same.__name__, {}
         if order in (VehicleActor.stop, VehicleActor.disarm):
             action = arguments["action"] if order is VehicleActor.stop else "disarm"
             twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
@@ -215,6 +225,13 @@ class FleetOrders:
             return await self._give(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)
         return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
+
+    def _order_of_mode(self, vehicles: Sequence[VehicleActor], *, name: str = "", force: bool = False) -> Order | None:
+        """The order that this mode is, if all of these are copters that have it, of which one flies."""
+        now, order = self._loop.time(), MODE_ORDERS.get(name.upper())
+        if order is None or force or not any(is_flying(actor.vehicle, now) for actor in vehicles):
+            return None
+        return order if all(has_copter_mode(actor.vehicle, name.upper()) for actor in vehicles) else None
 
     async def _carry_on(
         self,
@@ -414,7 +431,7 @@ class FleetOrders:
         places = [None if place is None else place[:2] for place in found]
         try:
             footprints = [self._monitor.footprint(a) for a in actors]
-            plans = await _in_turns(arranging(arguments["plan"], arrangement, places, footprints))
+            plans = await in_turns(arranging(arguments["plan"], arrangement, places, footprints))
         except ValueError as error:
             return {}, dict.fromkeys(actors, str(error))
         own = {actor: {"plan": plan} for actor, plan in zip(actors, plans, strict=True)}
@@ -439,12 +456,15 @@ class FleetOrders:
     async def _returns(
         self, given: Given, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
     ) -> dict[VehicleActor, Waiting]:
-        """Before the order to return: who has to wait, and for whom. A single vehicle never has to."""
+        """Before the order to return: who has to wait, and for whom. A fault in that sends each home at once."""
         at_end = arguments.pop("at_end", "hold")
         returning = [actor for actor in actors if actor not in refusals]
-        if len(returning) == 1:
-            self._returning.join(returning[0])
-        return await self._returning.begin(returning, given.serial, at_end=at_end) if len(returning) > 1 else {}
+        try:
+            return await self._returning.begin(returning, given.serial, at_end=at_end)
+        except Exception as error:
+            text = f"who waits for whom failed inside skygcs: {error!r}: each returns at once, by itself"
+            self._on_event(Event("fault", None, None, text, {}))
+            return {}
 
     async def _takeoffs_ended(
         self, actors: list[VehicleActor], arguments: Mapping[str, Any], asked: dict[VehicleActor, Asked]
@@ -581,17 +601,6 @@ def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> 
     """Those for which the order comes too late, and why; see `OrderRunner.overtaken`."""
     late = {actor: actor.runner.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
-
-
-async def _in_turns(work: Generator[None, None, Made]) -> Made:
-    """Carry out work that yields; others get their turn each time."""
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            made: Made = end.value
-            return made
-        await asyncio.sleep(0)
 
 
 def _shaped(order: Order, outcome: Outcome) -> Any:

@@ -1,7 +1,9 @@
-"""Brings several vehicles home that were ordered to return together: those whose ways conflict leave one after another.
+"""Brings vehicles home that are ordered to return: those whose ways conflict leave one after another.
 
 Who leaves, climbs or waits is decided by `core.monitor.departures`; here the decision meets orders, telemetry and time.
-The order to a single vehicle does not pass here. One that has to return is, of `Step`:
+Vehicles that are not ordered to return are in the way where they are, are sent and fly to; one that comes home by
+itself has a way of its own. A single vehicle waits only if something is in its way, and leaves when it is ordered
+again. One that has to return is, of `Step`:
 
     step     what it does                            next
     ------   -------------------------------------   -------------------------------------------------------------
@@ -22,15 +24,16 @@ It is left to whatever else has taken it, in WAITS and before each order, and it
     another order to return                          waits or leaves by that one; if that one fails, as before
     the daemon ends, or stood still                  goes on holding
 
-The space of one that is not heard grows (`Footprint.ball_m`). Whatever ends a wait is an event of order "rtl", with its
-reason.
+The space of one that is not heard grows (`Footprint.ball_m`). A fault in the decision leaves them to return one at a
+time, whatever their ways are: with nothing known of them that moves the fewest at once. Whatever ends a wait is an
+event of order "rtl", with its reason.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal
@@ -38,17 +41,29 @@ from typing import Literal
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
 from skygcs.core.monitor.approach import Vector
-from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departing
+from skygcs.core.monitor.departures import (
+    UNKNOWN,
+    Departures,
+    ReturnHeight,
+    Returning,
+    departing,
+    is_placed,
+    known_return_height,
+    one_at_a_time,
+    return_height,
+    why_not_held,
+)
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.monitor.ways import Way, column, too_near
 from skygcs.core.monitor.yielding import COMING_HOME, LANDING
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.separation import Footprint
+from skygcs.core.vehicle.fence_params import CLEARANCE_M, NAMES, has_known_fence, known_ceiling_m
 from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, HomeWatch
 from skygcs.core.vehicle.orders import Where, goto
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.separation_monitor import SeparationMonitor
+from skygcs.runtime.task_set import TaskSet, in_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
@@ -114,6 +129,10 @@ class Waiting:
     retry_at: float = -math.inf
     custom_mode: int | None = None
     """The mode that our hold, or our climb, left it in."""
+    ordered_at: float = -math.inf
+    """When that ended."""
+    hint: str = ""
+    """What a person may do."""
 
     @property
     def holds_first(self) -> bool:
@@ -121,17 +140,24 @@ class Waiting:
 
 
 class Returns:
-    """Returns under way of one fleet: `begin`, `carry_out` and `run` with each order to return to several vehicles."""
+    """Returns under way of one fleet: `begin`, `carry_out` and `run` with each order to return. ``vehicles``: all of
+    the fleet, by key."""
 
     def __init__(
-        self, footprint: Callable[[VehicleActor], Footprint], loop: asyncio.AbstractEventLoop, on_event: OnEvent
+        self,
+        monitor: SeparationMonitor,
+        vehicles: Mapping[int, VehicleActor],
+        loop: asyncio.AbstractEventLoop,
+        on_event: OnEvent,
     ) -> None:
-        self._footprint = footprint
+        self._monitor = monitor
+        self._vehicles = vehicles
         self._loop = loop
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event)
         self._members: dict[int, VehicleActor] = {}
-        """All that were ordered to return while others waited, until none of them is under way."""
+        """All that were ordered to return while others waited, or come home by themselves, until none of them is under
+        way."""
         self._waiting: dict[int, Waiting] = {}
         self._deciding = asyncio.Lock()
         self._left_at: dict[int, float] = {}
@@ -148,6 +174,13 @@ class Returns:
         self._moved_at = self._ours_moved_at = -math.inf
         self._places: dict[int, Vector] = {}
         """Where each member was when it last had moved."""
+        self._given_up: dict[int, int] = {}
+        """By key, the last order that had an effect as it was given up: until another one it returns when it is ordered
+        to."""
+        self._fenced: tuple[str, ...] = ()
+        """Names of those that would have to climb out of their own fences."""
+        self._fault: str | None = None
+        """The fault that was reported last."""
 
     async def begin(
         self, actors: Sequence[VehicleActor], serial: int, *, at_end: AtEnd = "hold"
@@ -160,20 +193,24 @@ class Returns:
 
     async def _begin(self, actors: Sequence[VehicleActor], serial: int, at_end: AtEnd) -> dict[VehicleActor, Waiting]:
         now = self._loop.time()
-        # a repeated order keeps those that have already left as members
-        first = not self._waiting
-        known = [actor for actor in actors if _is_placed(actor.vehicle, now)]
-        if len(known) < 2 and first:
-            for actor in known:
-                self.join(actor)
+        known = [actor for actor in actors if is_placed(actor.vehicle, now)]
+        if not known:
             return {}
-        if first:
+        alone = actors[0] if len(actors) == 1 else None
+        if alone is not None and self._is_insisted_on(alone):
+            self._join(alone)
+            return {}
+        # a repeated order keeps those that have already left as members
+        if not self._waiting:
             self._new_round(_frame(known[0].vehicle))
         self._members |= {actor.vehicle.key: actor for actor in known}
         # who goes home already, or by its own failsafe, is not held
-        free = [actor for actor in known if _goes_by_itself(actor.vehicle) is None and not self._leaves(actor)]
+        free = [actor for actor in known if why_not_held(actor.vehicle) is None and not self._leaves(actor)]
         self._left_at |= dict.fromkeys((a.vehicle.key for a in known if a not in free), now)
         decided = await self._decide(free)
+        if alone is not None and alone.vehicle.key in decided.leave:
+            self._join(alone)
+            return {}
         # those of an older order to return go on as before if this one fails
         begun: dict[VehicleActor, Waiting] = {}
         for actor in free:
@@ -182,6 +219,8 @@ class Returns:
                 continue
             step = Step.LEAVES if key in decided.leave else Step.HOLDS
             waits = Waiting(actor, serial, at_end, decided.waits_for.get(key, ()), step)
+            if alone is not None:
+                waits.hint = f"; ordered again (skygcs-cli rtl {actor.name}), it returns at once"
             older = self._waiting.get(key)
             if older is not None and older.actor is actor and older.has_waited:
                 waits.has_waited, waits.order_number = True, older.order_number
@@ -224,12 +263,16 @@ class Returns:
         if self._waiting and (self._running is None or self._running.done()):
             self._running = self._tasks.start(self._bring_home(), "returns one after another")
 
-    def join(self, actor: VehicleActor) -> None:
-        """A single vehicle is ordered to return: those that wait, or are to, keep clear of its way, too."""
+    def _is_insisted_on(self, actor: VehicleActor) -> bool:
+        """True if this one was ordered to return, and waits, or was given up: it is ordered again, alone."""
+        key = actor.vehicle.key
+        return self.waits(key) or self._given_up.get(key) == actor.runner.ledger.effective
+
+    def _join(self, actor: VehicleActor) -> None:
+        """A single vehicle is sent home: those that wait, or are to, keep clear of its way, too."""
         self._leave_out_gone()
-        if _is_placed(actor.vehicle, self._loop.time()):
-            self._members[actor.vehicle.key] = actor
-            self._left_at[actor.vehicle.key] = self._loop.time()
+        self._members[actor.vehicle.key] = actor
+        self._left_at[actor.vehicle.key] = self._loop.time()
 
     def waits(self, key: int) -> bool:
         """True if the vehicle holds, or climbs, until it is sent home by this round."""
@@ -261,9 +304,9 @@ class Returns:
 
     async def _hold_first(self, waits: Waiting) -> Outcome:
         actor = waits.actor
-        if (why := _goes_by_itself(actor.vehicle)) is not None:  # it began after the decision, and must not be stopped
+        if (why := why_not_held(actor.vehicle)) is not None:  # it began after the decision, and must not be stopped
             return self._spared(waits, why)
-        text = f"it holds until {_named(waits.told)} is out of its way home, and returns then"
+        text = f"it holds until {_named(waits.told)} is out of its way home, and returns then{waits.hint}"
         goes_on = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
         if waits.has_waited and goes_on:  # by the order before
             waits.step = Step.WAITS
@@ -311,26 +354,38 @@ class Returns:
 
     async def _bring_home(self) -> None:
         self._places, self._moved_at = {}, self._loop.time()
-        self._ours_moved_at = self._moved_at
+        self._ours_moved_at = whole_at = self._moved_at
         try:
             while self._waiting:
-                self._read_settings()
                 await asyncio.sleep(PERIOD_S)
-                async with self._deciding:
-                    self._leave_out_gone()
-                    self._look_home()
-                    waiting = [waits for waits in self._waiting.values() if waits.step is Step.WAITS]
-                    ready = [waits.actor for waits in waiting if self._is_ours(waits)]
-                    self._carry_out(await self._decide(ready))
-                if not self._moves() and self._is_read():
-                    self._give_up([(waits, waits.told) for waits in self._waiting.values()], "stays")
-        except Exception:
-            self._let_go("a fault inside skygcs")
-            raise
+                try:
+                    await self._look_again()
+                    whole_at = self._loop.time()
+                except Exception as error:
+                    self._report_fault("returns one after another", error)
+                    if self._loop.time() - whole_at > STUCK_S:
+                        self._let_go("a fault inside skygcs")
         finally:
             for task in self._reading.values():
                 task.cancel()
             self._reading.clear()
+
+    async def _look_again(self) -> None:
+        self._read_settings()
+        async with self._deciding:
+            self._leave_out_gone()
+            self._look_home()
+            waiting = [waits for waits in self._waiting.values() if waits.step is Step.WAITS]
+            ready = [waits.actor for waits in waiting if self._is_ours(waits)]
+            self._carry_out(await self._decide(ready))
+        if not self._moves() and self._is_read():
+            self._give_up([(waits, waits.told) for waits in self._waiting.values()])
+
+    def _report_fault(self, what: str, error: Exception) -> None:
+        """The same one may come twice a second."""
+        if repr(error) != self._fault:
+            self._fault = repr(error)
+            self._on_event(Event("fault", None, None, f"{what} failed inside skygcs: {error!r}", {}))
 
     def _leave_out_gone(self) -> None:
         """Vehicles that were forgotten are not in the way any more."""
@@ -362,11 +417,17 @@ class Returns:
         elif ledger.effective > waits.order_number and vehicle.mode in HOLDS_IN:
             self._adopt(waits, HELD_S)
             return False
+        elif vehicle.custom_mode != waits.custom_mode and self._is_settling(waits):
+            waits.custom_mode = vehicle.custom_mode
         elif vehicle.custom_mode != waits.custom_mode:
             self._drop(waits, f"it does not wait any more to return: it was switched to {vehicle.mode}")
         elif actor.order_number != waits.order_number:
             self._adopt(waits, 0.0)
         return self._is_current(waits)
+
+    def _is_settling(self, waits: Waiting) -> bool:
+        """True if its mode may still be that of a hold, or of a repeat of it, which a slow link brings late."""
+        return waits.actor.vehicle.mode in HOLDS_IN and self._loop.time() - waits.ordered_at < TAKES_S
 
     def _adopt(self, waits: Waiting, pause_s: float) -> None:
         """An order that changes nothing of its wait has ended: it was refused, or was a hold of the daemon's own."""
@@ -401,8 +462,18 @@ class Returns:
         return is_flying(vehicle, now) and key not in self._staying and comes
 
     async def _decide(self, free: Sequence[VehicleActor]) -> Departures:
-        """The decision for these, in turns with others."""
+        """The decision for these, in turns with others. After a fault they leave one at a time."""
+        try:
+            return await self._decide_by_ways(free)
+        except Exception as error:
+            self._report_fault("the comparison of ways home: they return one at a time; it", error)
+            now = self._loop.time()
+            ahead = [a.name for a in self._members.values() if a not in free and self._is_under_way(a, now)]
+            return one_at_a_time({actor.vehicle.key: actor.name for actor in free}, ahead)
+
+    async def _decide_by_ways(self, free: Sequence[VehicleActor]) -> Departures:
         now = self._loop.time()
+        self._join_those_that_come_home(now)
         waiting = [one for actor in free if (one := self._returning(actor, now)) is not None]
         under_way: list[Returning] = []
         fixed: list[Way] = []
@@ -415,14 +486,27 @@ class Returns:
             else:
                 flies = is_flying(actor.vehicle, now)
                 fixed.append(replace(one.place(), doing="in the air" if flies else "parked"))
-        work = departing(waiting, under_way, fixed, self._staying)
-        while True:
-            try:
-                next(work)
-            except StopIteration as end:
-                decided: Departures = end.value
-                return decided
-            await asyncio.sleep(0)
+        # those that are not ordered to return
+        stays, moving = set(self._staying), set[str]()
+        frame = _frame(free[0].vehicle) if self._frame is None and free else self._frame
+        for way, still in () if frame is None else self._monitor.present_ways(frame, self._members.keys()):
+            fixed.append(way)
+            if still:
+                stays.add(way.key)
+            else:
+                moving.add(way.name)
+        decided = await in_turns(departing(waiting, under_way, fixed, stays))
+        if any(name in moving for names in decided.waits_for.values() for name in names):
+            self._moved_at = now
+        self._fenced = tuple(sorted(self._members[key].name for key in decided.fenced))
+        return decided
+
+    def _join_those_that_come_home(self, now: float) -> None:
+        """Join those that come home by whatever order, pilot or failsafe: their ways are those of a return."""
+        for key, actor in self._vehicles.items():
+            comes = actor.vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
+            if key not in self._members and comes and is_placed(actor.vehicle, now):
+                self._members[key] = actor
 
     def _carry_out(self, decided: Departures) -> None:
         now = self._loop.time()
@@ -445,7 +529,7 @@ class Returns:
             self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
         if self._is_read():
             stuck = [(self._waiting[key], names) for key, names in decided.stuck.items() if key in self._waiting]
-            self._give_up(stuck, "holds at the end of its return, and stays")
+            self._give_up(stuck)
 
     async def _leave(self, waits: Waiting) -> None:
         """A turn of the loop after the decision."""
@@ -471,7 +555,7 @@ class Returns:
             return
         lat_deg, lon_deg, alt_amsl_m = self._frame.to_geodetic(*one.here[:2], goal_m)
         home_amsl_m = actor.vehicle.home_alt_amsl_m()
-        over = [name for name in waits.told if name in {self._members[key].name for key in self._staying}]
+        over = [name for name in waits.told if name not in {other.actor.name for other in self._waiting.values()}]
         above = f"above {_named(over)}, and returns then" if over else "above the way home of others, and waits there"
         self._report(actor, f"it climbs by {goal_m - one.here[2]:.0f} m, {above}")
         height_m = alt_amsl_m - (0.0 if home_amsl_m is None else home_amsl_m)
@@ -496,7 +580,7 @@ class Returns:
         if outcome.order_number is not None:
             waits.order_number = outcome.order_number  # a newer one that took its place is not ours
         if outcome.ok or vehicle.mode == "GUIDED":
-            waits.custom_mode = vehicle.custom_mode
+            waits.custom_mode, waits.ordered_at = vehicle.custom_mode, self._loop.time()
         if not outcome.ok:
             waits.retry_at = self._loop.time() + AGAIN_S
 
@@ -535,14 +619,15 @@ class Returns:
                 self._places[key] = here
         return now - self._moved_at < STUCK_S and now - self._ours_moved_at < OTHERS_S
 
-    def _give_up(self, stuck: Sequence[tuple[Waiting, Sequence[str]]], does: str) -> None:
+    def _give_up(self, stuck: Sequence[tuple[Waiting, Sequence[str]]]) -> None:
         """The ways of these do not become clear: what is left is a person's decision, or a landing where they are."""
         for waits, names in stuck:
             actor, heard = waits.actor, waits.actor.vehicle.connected
             if waits.step is not Step.WAITS or (heard and not self._is_ours(waits)):
                 continue
-            text = f"{_named(names)} {does} in its way home" if heard else "it is not heard"
+            text = self._why_given_up(names) if heard else "it is not heard"
             self._drop(waits, None)
+            self._given_up[actor.vehicle.key] = actor.runner.ledger.effective
             below = self._below(actor)
             if waits.at_end == "land" and not below:
                 self._report(actor, f"{text}: it lands where it is", given_up=True)
@@ -554,21 +639,30 @@ class Returns:
                 todo = f"send it home in spite of that (skygcs-cli rtl {actor.name}), elsewhere, or land it"
                 self._report(actor, f"{text}: it holds and does not return; {todo}", given_up=True)
 
+    def _why_given_up(self, names: Sequence[str]) -> str:
+        staying = {self._members[key].name for key in self._staying}
+        does = "holds at the end of its return, and stays" if staying.intersection(names) else "stays"
+        low = f", and {_named(self._fenced)} would have to climb out of its own fence" if self._fenced else ""
+        return f"{_named(names)} {does} in its way home{low}"
+
     def _below(self, actor: VehicleActor) -> list[str]:
-        """The members onto which it would come down where it is, in the air or on the ground."""
+        """Name those onto which it would come down where it is, in the air or on the ground."""
         now = self._loop.time()
         one = self._returning(actor, now)
         if one is None:
             return []
         down = replace(one.place(), legs=(column(one.here, one.home[2]),))
         others = [self._returning(other, now) for other in self._members.values() if other is not actor]
-        return [other.name for other in others if other is not None and too_near(down, other.place())]
+        ways = [other.place() for other in others if other is not None]
+        if self._frame is not None:
+            ways += [way for way, _ in self._monitor.present_ways(self._frame, self._members.keys())]
+        return [way.name for way in ways if too_near(down, way)]
 
     async def _land(self, waits: Waiting) -> None:
         """A turn of the loop after it was given up: unless its pilot took it, or something else was ordered."""
         actor = waits.actor
         ours = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
-        if ours and _goes_by_itself(actor.vehicle) is None:
+        if ours and why_not_held(actor.vehicle) is None:
             await actor.land()
 
     def _read_settings(self) -> None:
@@ -586,7 +680,8 @@ class Returns:
             height = await read_return_height(actor)
             if height is not UNKNOWN:
                 self._heights[actor.vehicle.key] = height
-        for name in actor.vehicle.abilities.return_params:
+        fence = NAMES[actor.vehicle.family] if has_known_fence(actor.vehicle) else ()
+        for name in (*actor.vehicle.abilities.return_params, *fence):
             if actor.vehicle.param(name) is None:
                 await actor.params.get(name)
 
@@ -599,18 +694,20 @@ class Returns:
             seen = self._seen.get(vehicle.key)
             return None if seen is None else replace(seen[0], age_s=max(0.0, now - seen[1]))
         waits = self._waiting.get(vehicle.key)
-        height = known_return_height(vehicle)
+        height, ceiling_m = known_return_height(vehicle), known_ceiling_m(vehicle)
+        home_m = self._frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
         one = Returning(
             vehicle.key,
             vehicle.name,
-            self._footprint(actor),
+            self._monitor.footprint(actor),
             self._frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]),
             position["vel_enu_mps"],
-            self._frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]),
+            home_m,
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
             None if waits is None else waits.goal_m,
             lands=vehicle.mode in LANDING or actor.runner.ledger.newest_in_progress in LANDS,
+            ceiling_m=math.inf if ceiling_m is None else home_m[2] + ceiling_m - CLEARANCE_M,
         )
         self._seen[vehicle.key] = one, at
         return one
@@ -624,43 +721,7 @@ async def read_return_height(actor: VehicleActor) -> ReturnHeight:
     """The return height by its parameters, read from the vehicle; `UNKNOWN`: it does not answer, or has none."""
     able = actor.vehicle.abilities
     heights = [await _param(actor, height) for height in able.return_heights]
-    return _return_height(heights, await _param(actor, able.return_climb) if able.return_climb else 0.0)
-
-
-def known_return_height(vehicle: Vehicle) -> ReturnHeight:
-    """The return height by parameters that have been read before; `UNKNOWN` without them."""
-    able = vehicle.abilities
-    climb_m = _known(vehicle, able.return_climb) if able.return_climb else 0.0
-    if climb_m is None:
-        return UNKNOWN
-    return _return_height([_known(vehicle, height) for height in able.return_heights], climb_m)
-
-
-def _return_height(heights_m: Sequence[float | None], climb_m: float | None) -> ReturnHeight:
-    """The highest of its heights; `UNKNOWN` if one of them is not known. Below 0: as high as it is (ArduPlane)."""
-    known = [max(height_m, 0.0) for height_m in heights_m if height_m is not None]
-    if not known or len(known) < len(heights_m):
-        return UNKNOWN
-    return ReturnHeight(0.0, max(known), max(climb_m or 0.0, 0.0))
-
-
-def _known(vehicle: Vehicle, param: HeightParam) -> float | None:
-    return next((value / per_metre for name, per_metre in param if (value := vehicle.param(name)) is not None), None)
-
-
-def _is_placed(vehicle: Vehicle, now: float) -> bool:
-    """True if its way home is known: it flies, is heard, and reports where it and its home are."""
-    position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
-    placed = position is not None and position["lat_deg"] is not None and home is not None
-    stays = vehicle.abilities_now(now).hovers and not vehicle.abilities_now(now).circles
-    return placed and stays and vehicle.connected and not vehicle.replayed and is_flying(vehicle, now)
-
-
-def _goes_by_itself(vehicle: Vehicle) -> str | None:
-    """Why it must not be held: its own failsafe, or its return or landing. None: nothing."""
-    if vehicle.mode in COMING_HOME:
-        return f"it is in {vehicle.mode}"
-    return "its own failsafe acts" if vehicle.failsafe else None
+    return return_height(heights, await _param(actor, able.return_climb) if able.return_climb else 0.0)
 
 
 def _frame(vehicle: Vehicle) -> EnuFrame:

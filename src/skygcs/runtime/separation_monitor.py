@@ -7,7 +7,7 @@ import asyncio
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -15,8 +15,8 @@ from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
-from skygcs.core.monitor.conflict_levels import HORIZON_S
-from skygcs.core.monitor.departures import UNKNOWN
+from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
+from skygcs.core.monitor.departures import UNKNOWN, known_return_height
 from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
@@ -33,6 +33,7 @@ from skygcs.core.monitor.order_check import (
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
+from skygcs.core.monitor.yielding import YIELDING_MODES
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint
@@ -41,7 +42,6 @@ from skygcs.core.vehicle.orders import FORCE_HINT, fresh_position
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime.returns import known_return_height
 from skygcs.runtime.task_set import OWN, TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
@@ -54,6 +54,9 @@ LONGEST_PERIOD_S = 1.0
 than this."""
 
 SHARE = 0.1
+
+ARRIVED_M = 2.0
+"""A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
 
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
@@ -286,15 +289,15 @@ class SeparationMonitor:
         """Which of these missions, that begin or go on now, lead too near each other's, a mission that another vehicle
         flies, or a vehicle that flies otherwise, or end on one that stands, and why. They are compared as space, in
         turns with others."""
-        ways = await self._mission_ways(starting)
+        ways, frame = await self._mission_ways(starting), self.monitor.tracks.frame
         others = []
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             actor = self._actors.get(key)
-            if actor is None or actor in starting or track.parked:
+            if actor is None or actor in starting or track.parked or frame is None:
                 continue
             flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
             way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
-            others.append(self._present_way(actor, track) if way is None else way)
+            others.append(self._present_way(actor, track, frame) if way is None else way)
         return await self._way_refusals(ways, others) | self._landing_refusals(ways)
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
@@ -361,12 +364,26 @@ class SeparationMonitor:
             mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m
         )
 
-    def _present_way(self, actor: VehicleActor, track: Track) -> Way:
-        """Where a vehicle is, and the way to where skygcs has sent it."""
-        frame = self.monitor.tracks.frame
-        assert frame is not None
-        holds = holding_disc(Other(track, self._destination(track.key)), frame)
+    def present_ways(self, frame: EnuFrame, without: Collection[int]) -> Iterator[tuple[Way, bool]]:
+        """The ways, in this frame, that vehicles which are heard fly or stand on now, and True for each that does not
+        move until somebody orders it to. ``without``: keys of those to leave out."""
+        for key, track in self.monitor.tracks.tracks.items() if self.mode != "off" else ():
+            actor = self._actors.get(key)
+            if actor is None or key in without or not actor.vehicle.connected:
+                continue
+            way = self._present_way(actor, track, frame)
+            (west, east, south, north), (low_m, high_m) = way.box, way.heights
+            stays = math.hypot(east - west, north - south, high_m - low_m) <= ARRIVED_M
+            led = actor.offboard.flying or actor.vehicle.mode in MISSION_MODES
+            yield way, track.parked or (stays and not led and actor.vehicle.mode in YIELDING_MODES)
+
+    def _present_way(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way:
+        """Where a vehicle is, and the way to where skygcs has sent it, else where it flies straight on."""
+        destination = self._destination(track.key)
+        holds = holding_disc(Other(track, destination), frame)
         points = [frame.from_ecef(track.ecef_m), holds.middle_m]
+        if destination is None and not track.parked and not track.lost:
+            points += [frame.from_geodetic(*place) for place in self._trajectory(actor)] or _ahead(points[0], track)
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
         ball_m = track.footprint.ball_m(max(0.0, min(self._loop.time() - track.at, TRACK_SILENT_S) - FRESH_S))
         return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + holds.radius_m, doing)
@@ -452,6 +469,14 @@ class SeparationMonitor:
             "took_s": round(self.took_s, 5),
             "longest_turn_s": round(self.longest_turn_s, 5),
         }
+
+
+def _ahead(here_m: Vector, track: Track) -> list[Vector]:
+    """Where it is after the horizon, if it moves and flies straight on."""
+    if math.hypot(*track.reported_mps) <= 2 * NOISE_MPS:
+        return []
+    x, y, z = (p + v * HORIZON_S for p, v in zip(here_m, track.reported_mps, strict=True))
+    return [(x, y, z)]
 
 
 async def _in_turns(work: Iterator[None]) -> tuple[float, float]:

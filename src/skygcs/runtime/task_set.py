@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from typing import Any, NamedTuple, TypeVar
@@ -124,3 +124,14 @@ def fault(done: asyncio.Task[Any]) -> str | None:
     if done.cancelled() or (error := done.exception()) is None:
         return None
     return f"{done.get_name()} failed inside skygcs: {error!r}"
+
+
+async def in_turns(work: Generator[None, None, T]) -> T:
+    """Carry out work that yields; others get their turn each time."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            made: T = end.value
+            return made
+        await asyncio.sleep(0)

@@ -436,7 +436,7 @@ class VehicleActor:
 
         def planner(now: float) -> Plan:
             self.require_preflight(force=force)
-            plan = orders.takeoff(self.vehicle, now, height, arm=arm)
+            plan = orders.takeoff(self.vehicle, now, height, arm=arm, force=force)
             if not force and (why := self.services.order_checks.takeoff_refusal(self.vehicle, height)) is not None:
                 raise RefusedError(why)
             return plan

@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.monitor.departures import UNKNOWN, Departures, ReturnHeight, Returning, departures
+from skygcs.core.monitor.departures import (
+    UNKNOWN,
+    Departures,
+    ReturnHeight,
+    Returning,
+    departures,
+    one_at_a_time,
+)
 from skygcs.core.monitor.ways import standing
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from support.examples import examples
@@ -184,3 +191,34 @@ def test_one_that_climbs_takes_the_space_up_to_its_goal() -> None:
     climbs = replace(at(1, (0.0, 0.0, 10.0), (50.0, 0.0)), goal_m=20.0)
     assert climbs.place().heights == (10.0, 20.0)
     assert replace(climbs, goal_m=5.0).place().heights == (10.0, 10.0)
+
+
+def test_nobody_climbs_out_of_its_own_fence() -> None:
+    """The autopilot would act there."""
+    pair = [at(1, (0, 0, 10), (5, 0)), at(2, (5, 0, 10), (0, 0))]
+    goal_m = 15.0 + 2 * MARGIN_M + 1.0
+    low = replace(pair[1], ceiling_m=goal_m - 0.1)
+    assert departures([pair[0], low], []).climb == {1: pytest.approx(goal_m)}, "the other one climbs"
+    both = departures([replace(one, ceiling_m=goal_m - 0.1) for one in pair], [])
+    assert both.climb == {} and both.leave == () and both.fenced == {1, 2}
+    rises = ReturnHeight(15.0, 15.0, climb_m=5.0)
+    kept = departures([replace(one, ceiling_m=goal_m + 4.9, height=rises) for one in pair], [])
+    assert kept.climb == {}, "its return climbs once more"
+    stays = at(9, (0.0, 0.0, 16.0), (0.0, 0.0)).place()
+    over = departures([replace(at(1, (-20, 0, 10), (20, 0)), ceiling_m=20.0)], [], [stays], {9})
+    assert over.stuck == {1: ("v9",)} and over.fenced == {1}
+
+
+def test_what_is_below_one_keeps_it_from_nothing_but_a_way_down_there() -> None:
+    """It stands nearer than they need already, and the return climbs away from it."""
+    one, below = at(1, (0.0, 0.0, 4.0), (20.0, 0.0)), replace(at(9, (0, 0, 0), (0, 0)).place(), doing="parked")
+    assert departures([one], [], [below]).leave == (1,)
+    assert departures([replace(one, home=(1.0, 0.0, 0.0))], [], [below]).waits_for == {1: ("v9",)}
+    above = at(9, (0.0, 0.0, 8.0), (0.0, 0.0)).place()
+    assert departures([one], [], [above]).waits_for == {1: ("v9",)}
+
+
+def test_without_any_place_they_leave_one_at_a_time() -> None:
+    waiting = {1: "v2", 2: "v1", 3: "v3"}
+    assert one_at_a_time(waiting, ["v9"]) == Departures((), waits_for=dict.fromkeys((1, 2, 3), ("v9",)))
+    assert one_at_a_time(waiting, []) == Departures((2,), waits_for={1: ("v1",), 3: ("v1",)})

@@ -11,10 +11,12 @@ have changed places would descend through each other, whatever their heights.
                                                                    stand, above its whole way, one group at a time
     not clear of one that is under way, or that is there           waits until that one is out of its way
     not clear of one that stays: it holds at the end of its        climbs where it stands, if its way is clear above
-    return                                                         that one; else it is stuck
+    return, or where it is, and was not ordered to return          that one; else it is stuck
 
-It is asked again a few times a second with the vehicles where they are then, so one leaves as soon as the part of
-another's way that is still to come is clear of its own.
+Nobody climbs above the ceiling of its own fence, where the autopilot would act. What stands below one that waits,
+nearer than they need, does not keep it there: it climbs away from that. It is asked again a few times a second with the
+vehicles where they are then, so one leaves as soon as the part of another's way that is still to come is clear of its
+own.
 """
 
 from __future__ import annotations
@@ -24,9 +26,13 @@ from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from skygcs.core.mavlink.vehicle_class import HeightParam
 from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.monitor.ways import Leg, Way, column, needed_m, standing, too_near
+from skygcs.core.monitor.yielding import COMING_HOME
 from skygcs.core.separation import Footprint, pair_margin
+from skygcs.core.vehicle.vehicle import Vehicle
 
 AT_HOME_M = 1.5
 """A vehicle that returns, is so near its home over the ground and sinks, lands."""
@@ -56,6 +62,43 @@ class ReturnHeight(NamedTuple):
 UNKNOWN = ReturnHeight(0.0, math.inf)
 
 
+def known_return_height(vehicle: Vehicle) -> ReturnHeight:
+    """The return height by parameters that have been read before; `UNKNOWN` without them."""
+    able = vehicle.abilities
+    climb_m = _known(vehicle, able.return_climb) if able.return_climb else 0.0
+    if climb_m is None:
+        return UNKNOWN
+    return return_height([_known(vehicle, height) for height in able.return_heights], climb_m)
+
+
+def return_height(heights_m: Sequence[float | None], climb_m: float | None) -> ReturnHeight:
+    """The highest of its heights; `UNKNOWN` if one of them is not known. Below 0: as high as it is (ArduPlane)."""
+    known = [max(height_m, 0.0) for height_m in heights_m if height_m is not None and math.isfinite(height_m)]
+    if not known or len(known) < len(heights_m):
+        return UNKNOWN
+    climb_m = climb_m if climb_m is not None and math.isfinite(climb_m) else 0.0
+    return ReturnHeight(0.0, max(known), max(climb_m, 0.0))
+
+
+def _known(vehicle: Vehicle, param: HeightParam) -> float | None:
+    return next((value / per_metre for name, per_metre in param if (value := vehicle.param(name)) is not None), None)
+
+
+def is_placed(vehicle: Vehicle, now: float) -> bool:
+    """True if its way home is known: it flies, is heard, and reports where it and its home are."""
+    position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
+    placed = position is not None and position["lat_deg"] is not None and home is not None
+    stays = vehicle.abilities_now(now).hovers and not vehicle.abilities_now(now).circles
+    return placed and stays and vehicle.connected and not vehicle.replayed and is_flying(vehicle, now)
+
+
+def why_not_held(vehicle: Vehicle) -> str | None:
+    """Why it must not be held: its own failsafe, or its return or landing. None: nothing."""
+    if vehicle.mode in COMING_HOME:
+        return f"it is in {vehicle.mode}"
+    return "its own failsafe acts" if vehicle.failsafe else None
+
+
 @dataclass(frozen=True, slots=True)
 class Returning:
     """A vehicle that is to return, or does. Places: east, north, up in a frame common to all, m."""
@@ -73,6 +116,8 @@ class Returning:
     """The height to which it climbs where it stands."""
     lands: bool = False
     """It comes down where it is, not at its home."""
+    ceiling_m: float = math.inf
+    """It is sent no higher than this, in the common frame: its own fence acts there."""
 
     @property
     def highest_m(self) -> float:
@@ -116,6 +161,8 @@ class Departures:
     climb: Mapping[int, float] = field(default_factory=dict)
     waits_for: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     stuck: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    fenced: frozenset[int] = frozenset()
+    """Those that would have to climb above their ceilings."""
 
 
 def departing(
@@ -124,8 +171,8 @@ def departing(
     fixed: Sequence[Way] = (),
     stays: Collection[int] = (),
 ) -> Generator[None, None, Departures]:
-    """Decide which of ``waiting`` leave or climb now; yields after each of them. ``fixed``: what does not move now.
-    ``stays``: keys of those of them that do not move without an order."""
+    """Decide which of ``waiting`` leave or climb now; yields after each of them. ``fixed``: what does not move now, or
+    is not known to go home. ``stays``: keys of those of them that do not move without an order."""
     moving = [other.way(under_way=True) for other in under_way]
     leaving: dict[int, Way] = {}
     blocked: dict[int, tuple[list[Way], list[Returning]]] = {}
@@ -133,7 +180,10 @@ def departing(
     places = {one.key: one.place() for one in ordered}
     for one in ordered:
         way = one.way()
-        taken = [other for other in (*moving, *leaving.values(), *fixed) if too_near(way, other)]
+        taken = [other for other in (*moving, *leaving.values()) if too_near(way, other)]
+        yield
+        taken += [other for other in fixed if _blocks(one, way, other)]
+        yield
         standing_there = [
             other
             for other in ordered
@@ -145,13 +195,30 @@ def departing(
             leaving[one.key] = way
         yield
     space = [*moving, *leaving.values(), *fixed]
-    climb = _climbs(ordered, blocked, space)
-    over, stuck = _over_those_that_stay(ordered, blocked, space, stays)
+    fenced = set[int]()
+    climb = yield from _climbs(ordered, blocked, space, fenced)
+    over, stuck = yield from _over_those_that_stay(ordered, blocked, space, stays, fenced)
     waits_for = {
         key: tuple(dict.fromkeys((*(way.name for way in taken), *(other.name for other in there))))
         for key, (taken, there) in blocked.items()
     }
-    return Departures(tuple(leaving), climb or over, waits_for, stuck)
+    return Departures(tuple(leaving), climb or over, waits_for, stuck, frozenset(fenced))
+
+
+def one_at_a_time(waiting: Mapping[int, str], ahead: Collection[str]) -> Departures:
+    """Decide without any place: one of ``waiting`` (names by key) leaves once nobody is ``ahead``."""
+    keys = sorted(waiting, key=waiting.__getitem__)
+    leave = () if ahead else tuple(keys[:1])
+    names = (*ahead, *(waiting[key] for key in leave))
+    return Departures(leave, waits_for={key: names for key in keys if key not in leave})
+
+
+def _blocks(one: Returning, way: Way, other: Way) -> bool:
+    """True if its way home comes too near what does not leave. It may climb away from what is below it already."""
+    if not too_near(way, other):
+        return False
+    away = other.heights[1] < one.here[2] and too_near(replace(way, legs=standing(one.here)), other)
+    return not away or too_near(replace(way, legs=way.legs[1:]), other)
 
 
 def departures(
@@ -171,19 +238,25 @@ def departures(
 
 
 def _climbs(
-    ordered: Sequence[Returning], blocked: Mapping[int, tuple[list[Way], list[Returning]]], taken: Sequence[Way]
-) -> dict[int, float]:
+    ordered: Sequence[Returning],
+    blocked: Mapping[int, tuple[list[Way], list[Returning]]],
+    taken: Sequence[Way],
+    fenced: set[int],
+) -> Generator[None, None, dict[int, float]]:
     """Return which vehicles climb, and to where, so that one of those leaves that only wait for others that wait: the
-    one with the fewest in its way."""
+    one with the fewest in its way. ``fenced`` gets those whose ceilings are lower."""
     for one in sorted(ordered, key=lambda one: len(blocked[one.key][1]) if one.key in blocked else 0):
         if one.key not in blocked or blocked[one.key][0] or math.isinf(one.highest_m):
             continue
         goals = _above(one, blocked[one.key][1])
         found: dict[int, float] = {}
         for other in blocked[one.key][1]:
+            yield
             up = replace(other.place(), legs=(column(other.here, goals[other.key]),))
             rest = [*taken, *(third.place() for third in ordered if third.key != other.key)]
-            if goals[other.key] > other.here[2] + ABOVE_M / 2 and not any(too_near(up, way) for way in rest):
+            if goals[other.key] + other.height.climb_m > other.ceiling_m:
+                fenced.add(other.key)
+            elif goals[other.key] > other.here[2] + ABOVE_M / 2 and not any(too_near(up, way) for way in rest):
                 found[other.key] = goals[other.key]
         if found:
             return found
@@ -195,7 +268,8 @@ def _over_those_that_stay(
     blocked: Mapping[int, tuple[list[Way], list[Returning]]],
     taken: Sequence[Way],
     stays: Collection[int],
-) -> tuple[dict[int, float], dict[int, tuple[str, ...]]]:
+    fenced: set[int],
+) -> Generator[None, None, tuple[dict[int, float], dict[int, tuple[str, ...]]]]:
     """One that may climb now above those that stay in its way home, with the height; and those that cannot get by."""
     climb: dict[int, float] = {}
     stuck: dict[int, tuple[str, ...]] = {}
@@ -203,12 +277,16 @@ def _over_those_that_stay(
         staying = [way for way in blocked[one.key][0] if way.key in stays] if one.key in blocked else []
         if not staying or math.isinf(one.highest_m):
             continue
+        yield
         goal_m = one.here[2]
         for way in staying:
             ratio = pair_margin(one.footprint, way.footprint).downwash_ratio
             goal_m = max(goal_m, way.heights[1] + ratio * needed_m(one.way(), way) + ABOVE_M)
         raised = replace(one, here=(*one.here[:2], goal_m))
-        if any(too_near(raised.way(), way) for way in staying):
+        low = goal_m + one.height.climb_m > one.ceiling_m
+        if low:
+            fenced.add(one.key)
+        if low or any(too_near(raised.way(), way) for way in staying):
             stuck[one.key] = tuple(way.name for way in staying)
             continue
         up = replace(one, goal_m=goal_m).place()

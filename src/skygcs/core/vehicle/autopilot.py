@@ -145,6 +145,17 @@ def set_mode(vehicle: Vehicle, name: str) -> Plan:
     return Plan("mode", (step,), f"mode {mode_name(vehicle, number)}")
 
 
+def has_copter_mode(vehicle: Vehicle, name: str) -> bool:
+    """True for a copter whose firmware has a mode of this name."""
+    if vehicle.kind is not VehicleClass.COPTER:
+        return False
+    try:
+        modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
+    except KeyError:
+        return False
+    return True
+
+
 def arm(*, force: bool = False) -> Plan:
     return Plan("arm", (_arm_step(force=force),), "armed")
 

@@ -21,7 +21,7 @@ from typing import Any, Literal, get_args
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.vehicle.flight_evidence import why_maybe_in_air, why_not_idle
-from skygcs.core.vehicle.orders import FORCE_HINT
+from skygcs.core.vehicle.order_plan import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
@@ -95,9 +95,14 @@ class FenceSettings:
         }
 
 
+def has_known_fence(vehicle: Vehicle) -> bool:
+    """True if skygcs knows the fence parameters of this autopilot and kind of vehicle."""
+    return vehicle.family in NAMES and (vehicle.family != "ardupilot" or vehicle.kind is VehicleClass.COPTER)
+
+
 def names_of(vehicle: Vehicle) -> tuple[str, ...]:
     """Names of the fence parameters. Raises RefusedError for an autopilot or a kind of vehicle with other ones."""
-    if vehicle.family == "ardupilot" and vehicle.kind is not VehicleClass.COPTER:
+    if vehicle.family in NAMES and not has_known_fence(vehicle):
         raise RefusedError("skygcs knows the fence parameters of an ArduPilot for copters only; set them yourself")
     if vehicle.family not in NAMES:
         raise RefusedError("skygcs knows the fence parameters of PX4 and ArduCopter only; set them yourself")
@@ -123,6 +128,27 @@ def settings_of(family: str, held: Mapping[str, float]) -> FenceSettings:
         held["FENCE_ALT_MAX"] if kinds & TYPE_HEIGHT else None,
         follows_list=bool(kinds & TYPE_LIST),
     )
+
+
+def known_ceiling_m(vehicle: Vehicle) -> float | None:
+    """The height above its home at which the vehicle's own fence acts; None: it has none, or not all of its parameters
+    have been read."""
+    names = names_of(vehicle) if has_known_fence(vehicle) else ()
+    held = {name: value for name in names if (value := vehicle.param(name)) is not None}
+    if not names or len(held) < len(names):
+        return None
+    fence = settings_of(vehicle.family, held)
+    return fence.height_m if fence.enabled and fence.action not in ("none", "warn") else None
+
+
+def require_below_fence(vehicle: Vehicle, height_m: float) -> None:
+    """Raises RefusedError for a height above its home at which its own fence is known to act."""
+    ceiling_m = known_ceiling_m(vehicle)
+    if ceiling_m is not None and height_m > ceiling_m:
+        raise RefusedError(
+            f"that is {rounded(height_m)} m above its home, and its own fence acts above {rounded(ceiling_m)} m: "
+            f"choose a lower height, change the fence (skygcs-cli fence set), or {FORCE_HINT}"
+        )
 
 
 def _word(actions: Mapping[str, int], number: int) -> str:

@@ -18,6 +18,7 @@ from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import Destination
+from skygcs.core.vehicle.fence_params import require_below_fence
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_in_air, why_not_idle
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.order_plan import FORCE_HINT as FORCE_HINT  # beside the orders that are refused with it
@@ -84,7 +85,8 @@ def set_mode(vehicle: Vehicle, now: float, name: str, *, force: bool = False) ->
     return replace(autopilot.set_mode(vehicle, name), force=force)
 
 
-def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) -> Plan:
+def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True, force: bool = False) -> Plan:
+    """Take off to a height above the ground it stands on. ``force``: also above its own fence."""
     require_connected(vehicle, now)
     if not (math.isfinite(height_m) and 0 < height_m <= MAX_TAKEOFF_M):
         raise RefusedError(f"a takeoff height of {rounded(height_m)} m is not above 0 and at most {MAX_TAKEOFF_M:g} m")
@@ -92,7 +94,9 @@ def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) 
         raise RefusedError("it is in the air already; use goto with a height")
     if not vehicle.armed and not arm:
         raise RefusedError("it is not armed, and the takeoff was ordered without arming")
-    position = fresh_position(vehicle, now)
+    position, home_amsl_m = fresh_position(vehicle, now), vehicle.home_alt_amsl_m()
+    if position is not None and home_amsl_m is not None and not force:
+        require_below_fence(vehicle, position[2] + height_m - home_amsl_m)
     return autopilot.takeoff(vehicle, height_m, None if position is None else position[2])
 
 
@@ -151,7 +155,8 @@ def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]
 
 def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Destination:
     """A geodetic position (``height_m`` above this vehicle's home, None: its present height) or a point of the fleet's
-    frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
+    frame (``enu_m``). ``force`` overrides the distance limit, its own fence's height and the ground check, never an
+    impossible coordinate."""
     hovers = vehicle.family == "ardupilot" and vehicle.hovers(now)
     if hovers and vehicle.param("Q_GUIDED_MODE") != 1.0 and not where.get("force"):
         raise RefusedError(
@@ -172,6 +177,8 @@ def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack
         _require_within("a yaw", yaw_deg, 360.0)
         to = replace(to, yaw_deg=yaw_deg)
     _check_reach(here, to, limit_m, ground=ground, force=bool(where.get("force")))
+    if not where.get("force") and to.alt_amsl_m > here[2]:  # down is the way back below it
+        require_below_fence(vehicle, to.height_m)
     return to
 
 

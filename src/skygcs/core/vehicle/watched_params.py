@@ -14,8 +14,16 @@ WATCHED = declared_params() | frozenset(
         "COM_OBL_RC_ACT",
         "COM_OF_LOSS_T",
         "COM_RC_IN_MODE",
+        "FENCE_ACTION",
+        "FENCE_ALT_MAX",
+        "FENCE_ENABLE",
+        "FENCE_RADIUS",
+        "FENCE_TYPE",
         "FS_GCS_ENABLE",
         "FS_OPTIONS",
+        "GF_ACTION",
+        "GF_MAX_HOR_DIST",
+        "GF_MAX_VER_DIST",
         "GUID_OPTIONS",
         "GUID_TIMEOUT",
         "MIS_RESTART",
@@ -26,7 +34,8 @@ WATCHED = declared_params() | frozenset(
         "THR_MDL_FAC",
     }
 )
-"""Those of setpoints, and what `vehicle_class` declares. Others are not kept: a vehicle has a thousand parameters."""
+"""Those of setpoints, of the fence's cylinder, and what `vehicle_class` declares. Others are not kept: a vehicle has a
+thousand parameters."""
 
 INTEGER_FORMAT = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 """struct codes of the integer types among MAV_PARAM_TYPE."""

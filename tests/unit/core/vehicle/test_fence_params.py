@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.vehicle import fence_params
+from skygcs.core.vehicle.watched_params import WATCHED
 from skygcs.errors import RefusedError
 from support.table import each
 
@@ -77,3 +78,7 @@ def test_a_fence_is_switched_on_last_and_off_first() -> None:
 )
 def test_a_breach_is_known_by_the_words_of_either_autopilot(text: str, reported: bool) -> None:
     assert fence_params.reports_breach(text) is reported
+
+
+def test_what_the_ceiling_is_known_by_is_kept() -> None:
+    assert {name for names in fence_params.NAMES.values() for name in names} <= WATCHED

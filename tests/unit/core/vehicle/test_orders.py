@@ -272,3 +272,30 @@ def test_one_that_is_down_already_is_not_sent_into_a_landing(autopilot: int) -> 
         assert plan.steps == () and "on the ground and disarmed already" in plan.done
     vehicle.on_frame(voice.landed(2), NOW + 1.0)
     assert orders.land(vehicle, NOW + 1.0).steps
+
+
+@each("autopilot", [PX4, ARDUPILOT])
+def test_a_goto_above_its_own_fence_is_refused_unless_insisted_on(autopilot: int) -> None:
+    """The autopilot would return or land there. It flies at 20 m."""
+    vehicle = flying(autopilot)
+    fence = (
+        {"GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 30.0, "GF_ACTION": 3.0}
+        if autopilot == PX4
+        else {"FENCE_RADIUS": 0.0, "FENCE_ALT_MAX": 30.0, "FENCE_ACTION": 1.0, "FENCE_TYPE": 1.0, "FENCE_ENABLE": 1.0}
+    )
+
+    def to(height_m: float, *, force: bool = False) -> Plan:
+        return orders.goto(vehicle, NOW, height_m=height_m, limit_m=LIMIT_M, force=force)
+
+    assert to(31.0), "its fence is not known"
+    for name, value in fence.items():
+        vehicle.parameters.note(name.encode(), value, 9, NOW, bytewise=False)
+    with pytest.raises(RefusedError, match=r"its own fence acts above 30 m: choose a lower height.*or insist"):
+        to(31.0)
+    assert to(30.0) and to(31.0, force=True)
+    for name, value in (("GF_MAX_VER_DIST", 10.0), ("FENCE_ALT_MAX", 10.0)):
+        vehicle.parameters.note(name.encode(), value, 9, NOW, bytewise=False)
+    assert to(15.0), "the way back below it"
+    for name, value in (("GF_ACTION", 1.0), ("FENCE_ENABLE", 0.0)):
+        vehicle.parameters.note(name.encode(), value, 9, NOW, bytewise=False)
+    assert to(31.0), "it acts by nothing"
