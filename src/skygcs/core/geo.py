@@ -35,6 +35,19 @@ REACH_M = 100_000.0
 """No vehicle of these fleets flies so far on one battery: what is farther away is a mistake, which no force insists on.
 At this distance the flat frame of the fleet is 800 m above the ground."""
 
+NO_PLACE_E7 = 0x7FFFFFFF
+"""INT_MAX: "not known" of a latitude or longitude."""
+
+NOWHERE_E7 = 100_000
+"""0.01 degrees, 1.1 km. An ArduPilot without a fix drifts about 0, 0 by its inertial sensors alone (44 m in 10 s of a
+captured flight); the nearest land is 570 km from there."""
+
+
+def is_no_place(lat_e7: int, lon_e7: int) -> bool:
+    """True for the latitude and longitude (degrees * 1e7) that autopilots report before they have a position."""
+    nowhere = abs(lat_e7) <= NOWHERE_E7 and abs(lon_e7) <= NOWHERE_E7
+    return nowhere or NO_PLACE_E7 in (lat_e7, lon_e7)
+
 
 @dataclass(frozen=True, slots=True)
 class Origin:

@@ -129,7 +129,20 @@ class LogReader:
         return self._tlog(looks) if self._kind == "tlog" else self._raw()
 
     def _tlog(self, looks: int) -> Iterator[LogEntry | None]:
-        faults, timeline, finder = self.faults, Timeline(), RecordFinder(self._data, self._dialect)
+        timeline = Timeline()
+        held: LogEntry | None = None  # until the time after its own is known
+        for entry in self._records(looks):
+            if entry is None:
+                yield None
+                continue
+            if held is not None:
+                yield _timed(held, timeline, entry.unix_us)
+            held = entry
+        if held is not None:
+            yield _timed(held, timeline, None)
+
+    def _records(self, looks: int) -> Iterator[LogEntry | None]:
+        faults, finder = self.faults, RecordFinder(self._data, self._dialect)
         end = 0
         before_us: int | None = None
         while not finder.at_end:
@@ -149,7 +162,6 @@ class LogReader:
                 faults.bad_crc.note(entry.offset)
             elif entry.verdict == "unknown" and entry.frame is not None:
                 faults.note_unknown(entry.offset, entry.frame.msgid)
-            entry.at_s = timeline.at_s(entry.unix_us)
             yield entry
         if end < len(self._data):
             faults.note_skipped(end, len(self._data) - end, end=True)
@@ -181,6 +193,13 @@ class LogReader:
             self.faults.bad_crc.note(offset)
         if skipped:
             self.faults.note_skipped(offset, skipped)
+
+
+def _timed(entry: LogEntry, timeline: Timeline, following_us: int | None) -> LogEntry:
+    assert entry.unix_us is not None
+    entry.misdated = timeline.is_misdated(entry.unix_us, following_us)
+    entry.at_s = timeline.now_s if entry.misdated else timeline.at_s(entry.unix_us)
+    return entry
 
 
 class SenderClocks:

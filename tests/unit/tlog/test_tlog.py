@@ -161,13 +161,16 @@ def test_times_may_go_backwards_and_such_records_count_as_simultaneous() -> None
     assert [r.at_s for r in records] == [0.0, 0.0, 0.0]
 
 
-def test_a_clock_that_is_set_or_a_damaged_time_is_no_part_of_the_duration() -> None:
+@pytest.mark.parametrize("bit", [23, 33, 36, 60])
+def test_a_clock_that_is_set_or_a_damaged_time_is_no_part_of_the_duration(bit: int) -> None:
     boot = log(heartbeat(1), heartbeat(2), start=3_000_000)
     after = log(heartbeat(3), heartbeat(4), start=T0)
-    damaged = encode_record(T0 ^ 1 << 60, heartbeat(5))
+    damaged = encode_record(T0 ^ 1 << bit, heartbeat(5))
     later = log(heartbeat(6), start=T0 + 200_000) + log(heartbeat(7), start=T0 + 300_000 + CLOCK_STEP_US)
     records, _ = read(boot + after + damaged + later)
-    assert [round(r.at_s, 3) for r in records] == [0.0, 0.1, 0.1, 0.2, 0.2, 0.2, 0.2]
+    assert [round(r.at_s, 3) for r in records] == [0.0, 0.1, 0.1, 0.2, 0.2, 0.3, 0.3]
+    assert [r.misdated for r in records].index(True) == 4
+    assert records[4].unix_ns() is None
 
 
 def test_empty_and_tiny_files_hold_nothing() -> None:

@@ -1,8 +1,9 @@
 """QGC WPL 110: the text files of Mission Planner, MAVProxy and old QGroundControls (.waypoints, .txt, .mission).
 
 A header line, then one item per line: seq, current, frame, command, param1 to param4, x, y, z, autocontinue, separated
-by blanks. Line 0 is home by convention (a waypoint in frame 0); some programs begin with a real item. DO_JUMP names the
-seq of its target. Mission Planner writes fences and rally points in the same form, each into its own file.
+by blanks; lines that begin with # are comments. Line 0 is home by convention (a waypoint in frame 0); some programs
+begin with a real item. DO_JUMP names the seq of its target. Mission Planner writes fences and rally points in the same
+form, each into its own file.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from skygcs.errors import PlanFileError
 HEADER = "QGC WPL"
 VERSION = "110"
 COLUMNS = 12
+COMMENT = "#"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,8 @@ def read_wpl(text: str, source: str) -> MissionPlan:
     if header[2:] != [VERSION]:
         found = " ".join(header[2:]) or "none"
         raise PlanFileError(source, "line 1", f"version {found} of the format is not supported, only {VERSION} is")
-    parsed = [_line(line, number, source) for number, line in enumerate(lines[1:], 2) if line.strip()]
+    rows = ((number, line.strip()) for number, line in enumerate(lines[1:], 2))
+    parsed = [_line(row, number, source) for number, row in rows if row and not row.startswith(COMMENT)]
     if len(parsed) > MAX_ITEMS:
         raise PlanFileError(source, "", f"{len(parsed)} items; MAVLink can number {MAX_ITEMS}")
     _check_numbers(parsed, source)

@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from skygcs.core.geo import distance_m
+from skygcs.core.geo import distance_m, is_no_place
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, HIGH_LATENCY_FACTOR, discovers, heartbeat_fields
 from skygcs.core.mavlink.modes import SAFETY_ARMED
@@ -231,7 +231,7 @@ class _Heard:
         # where it says that it is
         if msgid == GLOBAL_POSITION_INT:
             lat, lon, alt, _, vx, vy, vz = struct.unpack_from("<iiiihhh", payload, 4)
-            if (lat or lon) and abs(lat) <= 900_000_000:
+            if not is_no_place(lat, lon) and abs(lat) <= 900_000_000:
                 speed = math.sqrt(vx * vx + vy * vy + vz * vz) / 100
                 self.place = ReportedPosition(lat / 1e7, lon / 1e7, alt / 1000, speed, boot_s, now)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from skygcs.core.geo import euler_from_quaternion, quaternion_from_euler, wrap_deg_180
+from skygcs.core.geo import euler_from_quaternion, is_no_place, quaternion_from_euler, wrap_deg_180
 from skygcs.core.vehicle.decoder import Decoder, Values
 
 TelemetryGroup = dict[str, Any]
@@ -54,10 +54,7 @@ def _numbers(values: Sequence[float], scale: float = 1.0, digits: int = 4) -> li
 
 
 def _lat_lon(lat: int, lon: int) -> tuple[float | None, float | None]:
-    """Degrees; autopilots send 0, 0 or INT_MAX before they have a position."""
-    if (lat == 0 and lon == 0) or lat == 0x7FFFFFFF or lon == 0x7FFFFFFF:
-        return None, None
-    return lat / 1e7, lon / 1e7
+    return (None, None) if is_no_place(lat, lon) else (lat / 1e7, lon / 1e7)
 
 
 def decode_gps(v: Values, decoder: Decoder) -> TelemetryGroup | None:
@@ -146,7 +143,8 @@ def decode_battery(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     volts = amps = percent = consumed = temperature = remaining_s = None
     if "SYS_STATUS" in v:
         millivolts, centiamps, left = v["SYS_STATUS"][4:7]
-        volts = _scaled(millivolts, 65535, 0.001, 3)
+        monitored = millivolts or left >= 0 or centiamps >= 0  # an ArduPilot without a battery monitor sends 0 V
+        volts = _scaled(millivolts, 65535, 0.001, 3) if monitored else None
         amps = _amps(centiamps)
         percent = None if left < 0 else left
     if "BATTERY_STATUS" in v and v["BATTERY_STATUS"][0] == 0:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from skygcs.core.geo import Origin
+from skygcs.core.geo import Origin, is_no_place
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, HeartbeatChecks, heartbeat_fields
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
@@ -39,8 +39,6 @@ MOST_VEHICLES = 250
 """The live node has as many."""
 
 DIAGNOSE_S = 1.0
-
-NO_PLACE = 0x7FFFFFFF
 
 FAULTS = (InterfaceError, KeyError, TypeError, ValueError, OverflowError)
 """Raised for fields that are not those of the message in the common dialect."""
@@ -233,7 +231,7 @@ class RecordedNode:
 
     def _on_origin(self, vehicle: RecordedVehicle, fields: Mapping[str, Any], unix_ns: int) -> None:
         lat, lon = fields["latitude"], fields["longitude"]
-        if (lat, lon) == (0, 0) or NO_PLACE in (lat, lon) or not self._naming.frame_prefix:
+        if is_no_place(lat, lon) or not self._naming.frame_prefix:
             return
         place = {"lat_deg": lat / 1e7, "lon_deg": lon / 1e7, "alt_amsl_m": fields["altitude"] / 1000}
         if self._origin is None:

@@ -377,6 +377,12 @@ def test_a_survey_of_an_unknown_version_is_noted_and_read(version: Any, noted: b
     assert any("survey of the unknown version" in note for note in imported.notes) == noted
 
 
+def test_comments_of_a_wpl_file_are_no_items() -> None:
+    rows = ("# home", HOME_ROW, "", "  # 1 0 3 16 0 0 0 0 1 2 3 1", "1 0 3 5100 0 0 0 0 1.5 2.5 30 1")
+    plain = (row for row in rows if row and "#" not in row)
+    assert read_plan(wpl(*rows), "a.txt").plan == read_plan(wpl(*plain), "a.txt").plan
+
+
 def test_a_wpl_file_holds_one_list() -> None:
     plan = public("px4-geofence_avoid.plan").plan
     with pytest.raises(PlanFileError, match="mission and fence, and a WPL file one of them: choose with --only"):

@@ -131,8 +131,10 @@ def test_global_position_is_scaled_and_down_becomes_up_once(vehicle: Vehicle, vo
     assert position["enu_m"] is None
 
 
-def test_unknown_position_and_heading_are_none(vehicle: Vehicle, voice: Voice) -> None:
-    position = reported(vehicle, voice.position(0.0, 0.0, heading=65535))["position"]
+@pytest.mark.parametrize(("lat_deg", "lon_deg"), [(0.0, 0.0), (0.0003961, -0.0000684), (214.7483647, 8.5)])
+def test_unknown_position_and_heading_are_none(vehicle: Vehicle, voice: Voice, lat_deg: float, lon_deg: float) -> None:
+    # the second: an ArduPlane before its first fix, 10 s after its start
+    position = reported(vehicle, voice.position(lat_deg, lon_deg, heading=65535))["position"]
     assert (position["lat_deg"], position["lon_deg"], position["heading_deg"]) == (None, None, None)
     vehicle.origin = Origin(*HOME)
     assert reported(vehicle)["position"]["enu_m"] is None
@@ -209,6 +211,13 @@ def test_battery_unknowns_are_filled_from_battery_status(vehicle: Vehicle, voice
     battery = reported(vehicle, voice.say(sys_status(65535, -1, -1)), voice.say(detail))["battery"]
     assert (battery["volts"], battery["amps"], battery["percent"]) == (12.2, None, 42)
     assert (battery["consumed_mah"], battery["temperature_degc"]) == (378, None)
+
+
+@pytest.mark.parametrize(("current", "left", "volts"), [(-1, -1, None), (-1, 0, 0.0), (0, -1, 0.0)])
+def test_no_battery_monitor_is_no_battery_of_0_v(
+    vehicle: Vehicle, voice: Voice, current: int, left: int, volts: float | None
+) -> None:
+    assert reported(vehicle, voice.say(sys_status(0, current, left)))["battery"]["volts"] == volts
 
 
 def test_a_second_battery_does_not_pass_for_the_first(vehicle: Vehicle, voice: Voice) -> None:

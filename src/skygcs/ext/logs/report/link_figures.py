@@ -55,6 +55,8 @@ class Sources:
         key = frame.sysid, frame.compid
         stats = self._stats.get(key)
         if stats is None:
+            if frame.info is None:  # its CRC cannot be checked, and noise has any source
+                return
             if len(self._stats) >= MOST_SOURCES:
                 self.left_out += 1
                 return

@@ -20,7 +20,7 @@ from skygcs.ext.logs.report.flight_book import MOST_FLIGHTS
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
 from support.flight_log import ARMED, DISARMED, ORIGIN, T0_US, FlightLog
-from support.frames import frame, heartbeat, offline
+from support.frames import frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, own_capture, present, public_file
 from support.pymav_log import records
 from support.table import each
@@ -346,6 +346,13 @@ def test_losses_per_source_are_the_frames_that_were_left_out() -> None:
         assert source.lost == pytest.approx(before.frames - source.frames, abs=5)
         assert before.lost == 0
     assert [(s.sysid, s.compid, s.lost) for s in whole.other_sources] == [(255, 190, None)]
+
+
+def test_frames_of_unknown_messages_alone_are_no_source() -> None:
+    known = [heartbeat(seq=seq) for seq in range(2)]
+    noise = [unknown_frame(sysid=173), unknown_frame(sysid=1, seq=2)]
+    content = b"".join(encode_record(T0_US + n * 100_000, raw) for n, raw in enumerate((*noise, *known)))
+    assert sources_of(report_of(content)) == {"1/1": 2}
 
 
 def sources_of(report: DayReport) -> dict[str, int]:
