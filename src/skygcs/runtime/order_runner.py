@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
-from skygcs.core.vehicle.arming_refusals import todo_for, todo_in_mode
+from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import arms, firmware_name
 from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
@@ -712,17 +712,11 @@ class OrderRunner:
         return self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate)
 
     def _explained(self, outcome: Outcome, step: Step) -> Outcome:
-        """A refusal without a reason at least names the step; that of an arming names a mode that explains it."""
-        if outcome.result not in REFUSALS:
-            return outcome
-        vehicle = self._vehicle
-        arming = step.command is not None and arms(step.command)
-        if arming and (todo := todo_in_mode(vehicle.family, vehicle.mode, vehicle.name)) is not None:
-            return replace(outcome, message=f"{outcome.message}; {todo}")
-        if outcome.status_texts:
+        """A refusal with what its step says about it; one without any reason at least names the refused step."""
+        if outcome.result not in REFUSALS or (outcome.status_texts and not step.refused):
             return outcome
         why = step.refused or f"{firmware_name(self._vehicle)} gave no reason ({step.name})"
-        return replace(outcome, message=f"{outcome.message}: {why}")
+        return replace(outcome, message=f"{outcome.message}{';' if outcome.status_texts else ':'} {why}")
 
 
 def duplicate_refusal(vehicle: Vehicle) -> Outcome:

@@ -9,7 +9,7 @@ from typing import Any
 from skygcs.core.geo import distance_m
 from skygcs.core.preflight.expectations import FIXES, Expectations
 from skygcs.core.preflight.facts import PreflightFacts
-from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
+from skygcs.core.preflight.report import Finding, Severity, failed, passed, skipped, unknown
 from skygcs.core.vehicle.arming_refusals import todo_in_mode
 from skygcs.core.vehicle.autopilot import TAKEOFF_MODES, takes_off_from
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
@@ -40,6 +40,14 @@ _NEEDED = (
 
 _VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
 _STAGES = ("dev", "alpha", "beta", "rc")
+
+TERRAIN = "terrain"
+TERRAIN_TODO = (
+    "it has no heights of the ground here, which a ground station like Mission Planner sends and skygcs does not: set "
+    'TERRAIN_ENABLE 0, or sensors_ignored = ["terrain"] if it never flies by them'
+)
+"""An ArduPlane has TERRAIN_ENABLE 1 from the factory, and flies without: terrain matters to TERRAIN_FOLLOW and to items
+above the terrain, for which its own arming checks wait (AP_Arming::terrain_checks)."""
 
 PREARM_TODO = "correct what its status texts name; skygcs-cli status --json shows the latest"
 
@@ -181,12 +189,15 @@ def sensors(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not bad and not gone:
         return passed(f"{len(working)} sensors healthy")
     found = [f"unhealthy: {', '.join(bad)}"] * bool(bad) + [f"missing or disabled: {', '.join(gone)}"] * bool(gone)
+    text = "sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS))
+    if [*bad, *gone] == [TERRAIN]:
+        return failed(text, TERRAIN_TODO, severity=Severity.NOTE)
     todo = (
         "check or calibrate them; sensors_ignored lists those that may be unhealthy"
         if bad
         else "connect and enable them"
     )
-    return failed("sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS)), todo)
+    return failed(text, todo)
 
 
 def arming_mode(facts: PreflightFacts, wanted: Expectations) -> Finding:

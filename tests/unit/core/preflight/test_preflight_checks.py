@@ -214,6 +214,9 @@ def test_sensors_by_name() -> None:
     wanted = Expectations(sensors_ignored=("3d_mag",), sensors_required=("rangefinder",))
     assert "missing or disabled: rangefinder" in health.sensors(facts(sensors=part), wanted).text
     assert health.sensors(facts(sensors={**part, "age_s": 60.0}), WANTED).verdict is Verdict.UNKNOWN
+    # an ArduPlane from the factory, whose ground station sends no heights of the ground
+    ground = health.sensors(facts(sensors={**part, "unhealthy": ["terrain"]}), WANTED)
+    assert (ground.verdict, ground.severity) == (Verdict.FAIL, Severity.NOTE) and "TERRAIN_ENABLE 0" in ground.todo
 
 
 @each(
