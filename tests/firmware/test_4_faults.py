@@ -364,7 +364,7 @@ def test_a_fence_test_is_refused_in_flight(air: Field, figures: dict[str, Any]) 
 def gps(field: Field, on: bool) -> None:
     # By the simulators' own parameters: satellites in use, and (4.6) a receiver that says nothing.
     params = {"SIM_GPS_USED": 10 if on else 0} if field.px4 else {"SIM_GPS_DISABLE": 0 if on else 1}
-    field.order("params.set", field.one, params=params, settle=False)
+    field.order("params.set", field.one, params=params, settle=False, force=True)  # it flies
 
 
 @pytest.mark.minutes

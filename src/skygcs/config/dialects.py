@@ -221,7 +221,8 @@ def _generate(label: str, sources: list[tuple[Path, bytes]]) -> Dialect:
         for enum in xml.enum:
             entries = enums.setdefault(enum.name, {})
             for entry in enum.entry:
-                entries.setdefault(entry.value, entry.name)
+                if "_RESERVED" in entries.setdefault(entry.value, entry.name):  # a later file knows what took its place
+                    entries[entry.value] = entry.name
     return Dialect(label, messages.values(), enums)
 
 

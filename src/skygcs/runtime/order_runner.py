@@ -697,11 +697,11 @@ class OrderRunner:
         return self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate)
 
     def _explained(self, outcome: Outcome, step: Step) -> Outcome:
-        """A refusal without a reason at least names the refused step."""
-        if outcome.result not in REFUSALS or outcome.status_texts:
+        """A refusal with what its step says about it; one without any reason at least names the refused step."""
+        if outcome.result not in REFUSALS or (outcome.status_texts and not step.refused):
             return outcome
         why = step.refused or f"{firmware_name(self._vehicle)} gave no reason ({step.name})"
-        return replace(outcome, message=f"{outcome.message}: {why}")
+        return replace(outcome, message=f"{outcome.message}{';' if outcome.status_texts else ':'} {why}")
 
 
 def duplicate_refusal(vehicle: Vehicle) -> Outcome:

@@ -3,7 +3,7 @@
 disarmed --arm--> armed on ground --TAKEOFF/OFFBOARD--> in air --LAND/RTL/touch--> landed --COM_DISARM_LAND--> disarmed
 armed on ground and not taken off: disarmed after COM_DISARM_PRFLT
 disarmed: any mode. Armed: OFFBOARD with one setpoint younger than COM_OF_LOSS_T (no warm-up), a mode for sticks never
-TAKEOFF at its height, or disarmed after landing: LOITER
+TAKEOFF at its height: LOITER. Disarmed: the last ordered mode in which it may be armed (OFFBOARD after OFFBOARD, LAND)
 """
 
 from __future__ import annotations
@@ -177,14 +177,10 @@ class Px4Vehicle(SimVehicle):
             return "Preflight Fail: low battery"
         if self.motion.crashed:
             return "Preflight Fail: Attitude failure (roll)"
-        if rule.sticks:
-            return "Preflight Fail: no manual control input"
-        if self.mode == Px4Mode.OFFBOARD and not self.setpoints_fresh:
-            return "Preflight Fail: No offboard signal"
-        if self.mode == Px4Mode.MISSION and not self.lists.mission:
-            return "Preflight Fail: No valid mission available"
-        if not rule.arms:
-            return "Arming denied: switch to another mode first"
+        lacks_setpoints = self.mode == Px4Mode.OFFBOARD and not self.setpoints_fresh
+        lacks_mission = self.mode == Px4Mode.MISSION and not self.lists.mission
+        if rule.sticks or not rule.arms or lacks_setpoints or lacks_mission:
+            return "Arming denied: Resolve system health failures first"  # modeCheck.cpp says which in an event only
         return None
 
     def battery_levels(self) -> tuple[bool, bool, bool]:

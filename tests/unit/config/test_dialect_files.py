@@ -84,6 +84,13 @@ def test_a_line_for_a_shell_names_its_vehicle(cache: Path) -> None:
     assert next(field for field in info.fields if field.name == "flags").bitmask
 
 
+def test_a_reserved_number_has_the_name_that_a_later_file_gives_it(cache: Path) -> None:
+    kinds = load_dialect(["ardupilotmega", "px4-extras"]).enums["MAV_TYPE"]
+    assert (kinds[21], kinds[22], kinds[25]) == tuple(
+        f"MAV_TYPE_VTOL_{name}" for name in ("TILTROTOR", "FIXEDROTOR", "RESERVED5")
+    )
+
+
 def test_an_unknown_name_says_what_there_is(cache: Path) -> None:
     with pytest.raises(DialectError, match=r"comon: no dialect of this name; did you mean common\?"):
         load_dialect("comon")

@@ -128,6 +128,14 @@ async def test_what_is_not_done_says_why_and_ends_there() -> None:
                 assert outcome.status_texts == ("Arm: Throttle too high",)
 
 
+async def test_a_refused_arming_names_the_mode_that_a_px4_keeps_to_itself(ground: Ground) -> None:
+    vehicle, actor = await one(ground)
+    vehicle.mode, vehicle.script = 6 << 16, refusing(ARM, 1, "Arming denied: Resolve system health failures")
+    await asyncio.sleep(2)
+    said = "health failures; in OFFBOARD it arms only while setpoints come; set another mode first"
+    assert said in (await actor.arm()).message
+
+
 def estimates(vehicle: ScriptedVehicle, for_s: int, after_s: float = 0.0) -> None:
     """It knows where it is."""
     for second in range(for_s):

@@ -243,7 +243,7 @@ def test_without_a_transmitter_manual_modes_are_for_the_disarmed(mode: Px4Mode) 
     pilot.run(2)
     assert mavutil.mode_string_v10(pilot.last("HEARTBEAT")) == mode.name
     assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == REJECTED
-    assert any("manual control" in text for text in pilot.texts())
+    assert any("Resolve system health" in text for text in pilot.texts())
     set_mode(pilot, Px4Mode.LOITER)
     pilot.take_off()
     assert set_mode(pilot, mode) == REJECTED

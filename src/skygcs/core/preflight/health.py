@@ -9,7 +9,8 @@ from typing import Any
 from skygcs.core.geo import distance_m
 from skygcs.core.preflight.expectations import FIXES, Expectations
 from skygcs.core.preflight.facts import PreflightFacts
-from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
+from skygcs.core.preflight.report import Finding, Severity, failed, passed, skipped, unknown
+from skygcs.core.vehicle.arming_refusals import todo_in_mode
 from skygcs.core.vehicle.autopilot import TAKEOFF_MODES, takes_off_from
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
 
@@ -39,6 +40,14 @@ _NEEDED = (
 
 _VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
 _STAGES = ("dev", "alpha", "beta", "rc")
+
+TERRAIN = "terrain"
+TERRAIN_TODO = (
+    "it has no heights of the ground here, which a ground station like Mission Planner sends and skygcs does not: set "
+    'TERRAIN_ENABLE 0, or sensors_ignored = ["terrain"] if it never flies by them'
+)
+"""An ArduPlane has TERRAIN_ENABLE 1 from the factory, and flies without: terrain matters to TERRAIN_FOLLOW and to items
+above the terrain, for which its own arming checks wait (AP_Arming::terrain_checks)."""
 
 PREARM_TODO = "correct what its status texts name; skygcs-cli status --json shows the latest"
 
@@ -180,12 +189,15 @@ def sensors(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if not bad and not gone:
         return passed(f"{len(working)} sensors healthy")
     found = [f"unhealthy: {', '.join(bad)}"] * bool(bad) + [f"missing or disabled: {', '.join(gone)}"] * bool(gone)
+    text = "sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS))
+    if [*bad, *gone] == [TERRAIN]:
+        return failed(text, TERRAIN_TODO, severity=Severity.NOTE)
     todo = (
         "check or calibrate them; sensors_ignored lists those that may be unhealthy"
         if bad
         else "connect and enable them"
     )
-    return failed("sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS)), todo)
+    return failed(text, todo)
 
 
 def arming_mode(facts: PreflightFacts, wanted: Expectations) -> Finding:
@@ -201,7 +213,8 @@ def arming_mode(facts: PreflightFacts, wanted: Expectations) -> Finding:
     changed_to = takes_off_from(facts.family, mode)
     if changed_to is None:
         return passed(f"arms in {mode}")
-    return passed(f"would not arm in {mode}; takeoff, plan run and mission start change to {changed_to} first")
+    arms = "arms only while setpoints come" if mode == "OFFBOARD" else "would not arm"
+    return passed(f"{arms} in {mode}; takeoff, plan run and mission start change to {changed_to} first")
 
 
 def prearm(facts: PreflightFacts, wanted: Expectations) -> Finding:
@@ -214,12 +227,12 @@ def prearm(facts: PreflightFacts, wanted: Expectations) -> Finding:
         return skipped("it does not report whether it would arm")
     if PREARM_SENSOR in part["health"]:
         return passed("its own arming checks pass")
-    if facts.family == "px4" and (changed_to := takes_off_from("px4", facts.state["mode"])) is not None:
-        if not (said := _texts(facts, PREARM_TEXTS)):
-            return passed(f"not reported in {facts.state['mode']}: a take-off changes to {changed_to} first")
-        return failed(f"its own arming checks fail{_because(said)}", PREARM_TODO)
+    changed_to = takes_off_from(facts.family, facts.state["mode"]) if facts.family == "px4" else None
+    if changed_to is not None and not _texts(facts, PREARM_TEXTS):
+        return passed(f"not reported in {facts.state['mode']}: a take-off changes to {changed_to} first")
     text = f"its own arming checks fail in {facts.state['mode']}" + _because(_texts(facts, PREARM_TEXTS))
-    return failed(text, PREARM_TODO)
+    mode_first = todo_in_mode(facts.family, facts.state["mode"], facts.state["name"])
+    return failed(text, PREARM_TODO if mode_first is None else f"{mode_first}; then {PREARM_TODO}")
 
 
 def _px4_reports(facts: PreflightFacts) -> bool:

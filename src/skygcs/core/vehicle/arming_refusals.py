@@ -10,6 +10,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from skygcs.core.mavlink.modes import PX4_NOT_ARMABLE
+from skygcs.core.vehicle.stick_modes import PX4_STICK_MODES
+
 LASTING_REASONS: tuple[tuple[str, str], ...] = (
     (r"mode not armable", "set another mode first: skygcs-cli mode {name} GUIDED"),
     (r"switch to manual mode first", "set another mode first: skygcs-cli mode {name} AUTO.LOITER"),
@@ -45,3 +48,20 @@ def todo_for(texts: Iterable[str], name: str) -> str | None:
             if pattern.search(text):
                 return todo.format(name=name)
     return None
+
+
+def todo_in_mode(family: str, mode: str, name: str) -> str | None:
+    """Return why ``name`` may not arm in ``mode``, and what to do, where its firmware's text does not name the mode: a
+    PX4 1.16 says "Resolve system health failures first" in all of these (modeCheck.cpp). None: it arms, as far as the
+    mode is concerned. It disarms into OFFBOARD if that was the last mode before its landing (UserModeIntention.cpp)."""
+    if family != "px4":
+        return None
+    if mode in PX4_NOT_ARMABLE:
+        why = f"it does not arm in {mode}"
+    elif mode == "OFFBOARD":
+        why = "in OFFBOARD it arms only while setpoints come"
+    elif mode in PX4_STICK_MODES:
+        why = f"in {mode} it arms only with sticks"
+    else:
+        return None
+    return f"{why}; set another mode first: skygcs-cli mode {name} AUTO.LOITER"

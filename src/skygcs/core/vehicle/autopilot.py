@@ -202,8 +202,8 @@ TAKEOFF_MODES: Mapping[str, str] = {"px4": "AUTO.LOITER", "ardupilot": "GUIDED"}
 
 def takes_off_from(family: str, mode: str) -> str | None:
     """The mode that a take-off changes to first, where a vehicle that is to take off would not arm in its present mode;
-    None: it would arm, as far as the mode is concerned."""
-    not_armable = modes.PX4_NOT_ARMABLE if family == "px4" else modes.COPTER_NOT_ARMABLE | {"AUTO"}
+    None: it would arm, as far as the mode is concerned. A PX4 in OFFBOARD arms only while somebody sends setpoints."""
+    not_armable = modes.PX4_NOT_ARMABLE | {"OFFBOARD"} if family == "px4" else modes.COPTER_NOT_ARMABLE | {"AUTO"}
     return TAKEOFF_MODES.get(family) if mode in not_armable else None
 
 

@@ -233,7 +233,7 @@ class Step:
     ``expect_s``: how long to wait for the expectation; with 0 it is only used to explain a lost ACK.
     ``skip_if_met``: send nothing if the expectation is met already. ``undo`` is carried out if a later step fails.
     ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` explains a
-    refusal of a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
+    refusal, beside the vehicle's own reason if it gives one. An ``optional`` step may fail: the plan goes on.
     ``with_repeats`` is a message sent right after each repeat of the command, for a vehicle that receives us while its
     answers are lost, so that the next step never begins. With a ``proof`` the vehicle is asked after the step whether
     it still does what it accepted, and the step is repeated if not.

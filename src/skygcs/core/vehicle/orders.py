@@ -17,6 +17,7 @@ from skygcs.core.mavlink.vehicle_class import VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
+from skygcs.core.vehicle.arming_refusals import todo_in_mode
 from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.fence_params import require_below_fence
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_in_air, why_not_idle
@@ -62,9 +63,11 @@ def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: in
             f"it is in {vehicle.mode} and would take off at once; set another mode first (AUTO.LOITER), or start what "
             f"it is to do (mission start, takeoff); {FORCE_HINT}"
         )
+    plan = autopilot.arm(force=force)
     if estimate_msgid is not None and not force:
-        return autopilot.arm_to_fly(vehicle, now, estimate_msgid)
-    return autopilot.arm(force=force)
+        plan = autopilot.arm_to_fly(vehicle, now, estimate_msgid)
+    last = replace(plan.steps[-1], refused=todo_in_mode(vehicle.family, vehicle.mode, vehicle.name) or "")
+    return replace(plan, steps=(*plan.steps[:-1], last))
 
 
 def disarm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:

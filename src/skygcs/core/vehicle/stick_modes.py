@@ -71,7 +71,7 @@ _ARDUPILOT: Mapping[VehicleClass, Mapping[str, Without]] = {
     VehicleClass.SUB: _SUB,
     VehicleClass.BLIMP: _BLIMP,
 }
-_PX4: Mapping[str, Without] = {
+PX4_STICK_MODES: Mapping[str, Without] = {
     **dict.fromkeys(("MANUAL", "ACRO", "STABILIZED", "RATTITUDE"), Without.FALLS),
     **dict.fromkeys(("ALTCTL", "POSCTL", "POSCTL.SLOW", "SIMPLE", "ALTITUDE_CRUISE"), Without.SINKS),
     "TERMINATION": Without.KILLS,
@@ -86,7 +86,7 @@ def without_sticks(model: VehicleModel, custom_mode: int) -> Without | None:
     name = mode_name(model, custom_mode)
     if model.family != "px4":
         return _ARDUPILOT.get(model.kind, {}).get(name)
-    effect = _PX4.get(name)
+    effect = PX4_STICK_MODES.get(name)
     falls_not = not abilities_of(model.family, model.kind).flies and effect is not None and effect is not Without.KILLS
     return Without.COASTS if falls_not else effect  # a PX4 that does not fly
 

@@ -214,6 +214,9 @@ def test_sensors_by_name() -> None:
     wanted = Expectations(sensors_ignored=("3d_mag",), sensors_required=("rangefinder",))
     assert "missing or disabled: rangefinder" in health.sensors(facts(sensors=part), wanted).text
     assert health.sensors(facts(sensors={**part, "age_s": 60.0}), WANTED).verdict is Verdict.UNKNOWN
+    # an ArduPlane from the factory, whose ground station sends no heights of the ground
+    ground = health.sensors(facts(sensors={**part, "unhealthy": ["terrain"]}), WANTED)
+    assert (ground.verdict, ground.severity) == (Verdict.FAIL, Severity.NOTE) and "TERRAIN_ENABLE 0" in ground.todo
 
 
 @each(
@@ -267,10 +270,12 @@ def test_a_mode_that_a_takeoff_leaves_first_is_no_fault_and_is_named() -> None:
 
 def test_a_px4s_arming_checks_are_not_reported_in_a_mode_in_which_nothing_arms() -> None:
     part = {"present": [], "enabled": [], "health": [], "unhealthy": [], "age_s": 1.0}
-    landed = facts(autopilot="px4", firmware="1.16.0", sensors=part, mode="AUTO.LAND")
-    assert health.prearm(landed, WANTED).verdict is Verdict.PASS
     said = [{"text": "Preflight Fail: No GPS", "severity": "critical", "level": 2, "age_s": 1.0}]
-    assert health.prearm(facts(**{**landed.state, "status_texts": said}), WANTED).verdict is Verdict.FAIL
+    for mode, why in (("AUTO.LAND", "it does not arm in"), ("OFFBOARD", "only while setpoints come")):
+        landed = facts(autopilot="px4", firmware="1.16.0", sensors=part, mode=mode)
+        assert health.prearm(landed, WANTED).verdict is Verdict.PASS
+        failing = health.prearm(facts(**{**landed.state, "status_texts": said}), WANTED)
+        assert failing.verdict is Verdict.FAIL and why in failing.todo and "alpha AUTO.LOITER" in failing.todo
 
 
 def test_the_mode_is_judged_of_a_disarmed_copter_only() -> None:

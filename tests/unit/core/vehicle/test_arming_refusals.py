@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skygcs.core.vehicle.arming_refusals import LASTING_REASONS, todo_for
+from skygcs.core.vehicle.arming_refusals import LASTING_REASONS, todo_for, todo_in_mode
 from support.table import each
 
 
@@ -49,3 +49,12 @@ def test_what_time_may_cure_is_waited_for(text: str) -> None:
 def test_every_advice_is_complete_for_any_name() -> None:
     for _, todo in LASTING_REASONS:
         assert "{" not in todo.format(name="alpha")
+
+
+@each(
+    ("mode", "why"),
+    [("AUTO.LAND", "it does not arm in AUTO.LAND"), ("OFFBOARD", "while setpoints come"), ("POSCTL", "with sticks")],
+)
+def test_a_px4_is_said_to_refuse_for_its_mode_since_its_text_does_not_say_it(mode: str, why: str) -> None:
+    assert why in (todo_in_mode("px4", mode, "alpha") or "")
+    assert todo_in_mode("ardupilot", mode, "alpha") is todo_in_mode("px4", "AUTO.LOITER", "alpha") is None
