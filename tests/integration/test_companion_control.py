@@ -15,7 +15,7 @@ from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.replicated_clock import MAX_NOTED
 from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
-from support.companion_pair import Pair, circle, companion_pair, start_circle
+from support.companion_pair import Pair, circle, circle_pieces, companion_pair, start_circle
 from support.flown import SETPOINTS
 
 pytestmark = pytest.mark.looptime
@@ -193,6 +193,24 @@ async def test_an_order_to_the_clock_that_was_lost_comes_with_the_next_or_after_
         assert lost and here.state is there.state
         assert there.trajectory_s == pytest.approx(here.trajectory_s, abs=0.02)
         assert not [t.text for t in pair.told if "ordered to" in t.text]
+
+
+async def test_a_start_gives_way_to_an_order_that_came_while_it_was_prepared(tmp_path: Path) -> None:
+    """It began, and the vehicle flew the trajectory in place of the newer goto."""
+    async with companion_pair(tmp_path, delay_s=0.4, engaged="position") as pair:
+        await pair.done("vehicles.goto", enu_m=[5.0, 0.0, 10.0])
+        await asyncio.sleep(12)
+        outcomes = []
+        for delay_s in (0.05, 0.4):  # the goto has arrived when the start would begin, or is on its way
+            pair.calls.delay_s = 0.4
+            await pair("trajectory.load", target="v1", pieces=circle_pieces(20), name="circle")
+            starting = asyncio.create_task(pair.outcome("trajectory.start"))
+            await asyncio.sleep(0.1)
+            pair.calls.delay_s = delay_s
+            await pair.done("vehicles.goto", enu_m=[5.0, 0.5, 10.0])
+            outcomes.append((await starting)["message"])
+        assert "newer order" in outcomes[0] and "a goto is on its way" in outcomes[1], outcomes
+        assert pair.pi.actor().offboard.controller.flight is None
 
 
 async def test_a_pause_that_comes_before_the_start_stops_it_there(tmp_path: Path) -> None:

@@ -228,7 +228,11 @@ class OrderRunner:
         while self.ledger.is_behind(serial) and self.ledger.effective_serial <= serial:
             self._order_ended.clear()
             await self._order_ended.wait()
-        return SUPERSEDED if self.ledger.effective_serial > serial else None
+        return self.superseded()
+
+    def superseded(self) -> str | None:
+        """Why the order of the present task must not take effect: one that was asked for later has; None: it may."""
+        return SUPERSEDED if self.ledger.effective_serial > (ORDER_SERIAL.get() or math.inf) else None
 
     def note_effect(self) -> None:
         """The order of the present task moves the vehicle without a plan: under control by setpoints."""

@@ -257,7 +257,8 @@ class Trajectories:
     ) -> TrajectoryClock | dict[VehicleActor, str]:
         """The started clock of a start, or why it must not be, by vehicle."""
         found = {
-            actor: actor.offboard.trajectory_refusal(loaded, speed_factor, lock, tubes.get(actor.name))
+            actor: actor.runner.superseded()
+            or actor.offboard.trajectory_refusal(loaded, speed_factor, lock, tubes.get(actor.name))
             for actor, loaded in chosen.items()
         }
         refused = {actor: why for actor, why in found.items() if why is not None}

@@ -11,7 +11,7 @@ from skygcs.core.monitor import trajectory_check
 from skygcs.core.monitor.trajectory_check import Course, bow_m, find_conflicts
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
-from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
 from support.examples import seeds
 from support.table import each
 
@@ -47,7 +47,7 @@ def test_it_agrees_with_dense_sampling(seed: int) -> None:
     loaded = [LoadedTrajectory(curve(rng, rng.uniform(5.0, 20.0))) for _ in range(2)]
     clocks = []
     for one in loaded:
-        clock = TrajectoryClock.of([one.trajectory], 1.0, speed_factor=rng.choice((0.5, 1.0, 1.7)))
+        clock = common_clock([one], 1.0, rng.choice((0.5, 1.0, 1.7)))
         clock.start(0.0, rng.uniform(0.0, 5.0))
         clocks.append(clock)
     a, b = (course(n, one, clock) for n, (one, clock) in enumerate(zip(loaded, clocks, strict=True), 1))

@@ -46,6 +46,7 @@ def actor(name: str) -> VehicleActor:
         ),
         config=SimpleNamespace(control=ControlSettings()),
         authority_refusal=lambda: None,
+        runner=SimpleNamespace(note_effect=lambda: None, superseded=lambda: None),
         offboard=SimpleNamespace(controller=SimpleNamespace(flight=None), lead_s=0.0),
     )
     return cast(VehicleActor, made)
@@ -121,7 +122,6 @@ async def test_a_group_that_an_abort_is_about_to_stop_is_not_paused(gone: str | 
     both = actor("alpha"), actor("bravo")
     kept = Trajectories(lambda: both, loop, lambda event: told.append(event.text), unwatched(), FlightLocks())
     for one in both:
-        cast(Any, one).runner = SimpleNamespace(note_effect=lambda: None)
         offboard = cast(Any, one.offboard)
         offboard.lead_s, offboard.successor, offboard.trajectory_refusal = 0.8, None, lambda *given: None
         offboard.controller.reasons = ("hold was ordered",)

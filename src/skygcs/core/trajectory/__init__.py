@@ -24,7 +24,7 @@ from skygcs.core.trajectory.timing import (
     rest_to_rest,
     straight_lines,
 )
-from skygcs.core.trajectory.trajectory_clock import ClockState, ClockTime, TrajectoryClock, rate_limit
+from skygcs.core.trajectory.trajectory_clock import ClockState, ClockTime, TrajectoryClock
 
 __all__ = [
     "ClockState",
@@ -43,7 +43,6 @@ __all__ = [
     "least_limits",
     "motion_peaks",
     "path_within",
-    "rate_limit",
     "require_continuous",
     "require_within",
     "rest_to_rest",

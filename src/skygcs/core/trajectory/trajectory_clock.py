@@ -30,11 +30,9 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
-from skygcs.core.trajectory.motion_limits import motion_peaks
-from skygcs.core.trajectory.piecewise import MAX_DURATION_S, Trajectory
+from skygcs.core.trajectory.piecewise import MAX_DURATION_S
 from skygcs.errors import RefusedError, TrajectoryError
 
 MAX_SPEED_FACTOR = 4.0
@@ -130,21 +128,6 @@ class TrajectoryClock:
         self._state = ClockState.READY
         self._phases: tuple[_Phase, ...] = (_Phase(-math.inf, 0.0, 0.0, 0.0),)
         self._latest = ClockTime(0.0, 0.0, 0.0, ClockState.READY), -math.inf
-
-    @classmethod
-    def of(cls, trajectories: Iterable[Trajectory], brake_mps2: float, *, speed_factor: float = 1.0) -> TrajectoryClock:
-        """One clock for all of them; a pause, an abort or a change of speed adds at most ``brake_mps2`` to any."""
-        fleet = list(trajectories)
-        if not fleet:
-            raise TrajectoryError("no trajectory to drive")
-        ends = [(_end_speed(t, 0.0), _end_speed(t, t.duration_s)) for t in fleet]
-        return cls(
-            max(t.duration_s for t in fleet),
-            rate_limit(fleet, brake_mps2),
-            speed_factor=speed_factor,
-            rests_at_start=all(first <= AT_REST_MPS for first, _ in ends),
-            rests_at_end=all(last <= AT_REST_MPS for _, last in ends),
-        )
 
     # --- orders -------------------------------------------------------------------------------------------------------
 
@@ -321,17 +304,14 @@ class TrajectoryClock:
         return (*phases, _Phase(begin, self.duration_s, 0.0, 0.0))
 
 
-def rate_limit(trajectories: Iterable[Trajectory], brake_mps2: float) -> float:
-    """|s''| in 1/s such that a change of rate adds at most ``brake_mps2`` to the acceleration of any of them.
-
-    Raises TrajectoryError where it would take longer than 100 s to stop.
-    """
+def rate_limit(fastest_mps: float, brake_mps2: float) -> float:
+    """|s''| in 1/s such that a change of rate adds at most ``brake_mps2`` to the acceleration of a trajectory whose
+    largest speed is ``fastest_mps``. Raises TrajectoryError where it would take longer than 100 s to stop."""
     if not brake_mps2 > 0.0:  # also for NaN
         raise TrajectoryError(f"a braking acceleration of {brake_mps2:g} m/s² is not positive")
-    fastest = max((motion_peaks(t).speed_mps.at_most for t in trajectories), default=0.0)
-    limit = MAX_RATE_LIMIT_PER_S if fastest <= 0.0 else min(brake_mps2 / fastest, MAX_RATE_LIMIT_PER_S)
+    limit = MAX_RATE_LIMIT_PER_S if fastest_mps <= 0.0 else min(brake_mps2 / fastest_mps, MAX_RATE_LIMIT_PER_S)
     if limit < MIN_RATE_LIMIT_PER_S:
-        raise TrajectoryError(f"at {brake_mps2:g} m/s² a stop from {fastest:g} m/s takes longer than 100 s")
+        raise TrajectoryError(f"at {brake_mps2:g} m/s² a stop from {fastest_mps:g} m/s takes longer than 100 s")
     return limit
 
 
@@ -341,7 +321,3 @@ def _checked_factor(speed_factor: float) -> float:
             f"a speed factor of {speed_factor:g} is not between {MIN_SPEED_FACTOR:g} and {MAX_SPEED_FACTOR:g}"
         )
     return speed_factor
-
-
-def _end_speed(trajectory: Trajectory, t_s: float) -> float:
-    return math.hypot(*trajectory.at(t_s).vel_enu_mps)

@@ -21,12 +21,8 @@ from skygcs.core.trajectory.bounding_box import Box, bounding_box
 from skygcs.core.trajectory.motion_limits import SLACK
 from skygcs.core.trajectory.piecewise import joints, require_continuous
 from skygcs.core.trajectory.replicated_clock import ReplicatedClock
-from skygcs.core.trajectory.trajectory_clock import (
-    AT_REST_MPS,
-    MAX_RATE_LIMIT_PER_S,
-    MIN_RATE_LIMIT_PER_S,
-)
-from skygcs.errors import ConfigError, RefusedError, TrajectoryError
+from skygcs.core.trajectory.trajectory_clock import AT_REST_MPS, rate_limit
+from skygcs.errors import ConfigError, RefusedError
 
 BASE_M = 1000.0
 """Length over which the directions of one frame are measured in another."""
@@ -115,10 +111,7 @@ def common_clock(
 ) -> TrajectoryClock:
     """One clock for several vehicles. ``lead_s``: of its orders, where some of them run a replica of it elsewhere; it
     is a `ReplicatedClock` then. Raises TrajectoryError, RefusedError."""
-    fastest = max(one.peaks.speed_mps.at_most for one in loaded)
-    limit = MAX_RATE_LIMIT_PER_S if fastest <= 0.0 else min(brake_mps2 / fastest, MAX_RATE_LIMIT_PER_S)
-    if limit < MIN_RATE_LIMIT_PER_S:
-        raise TrajectoryError(f"at {brake_mps2:g} m/s² a stop from {fastest:g} m/s takes longer than 100 s")
+    limit = rate_limit(max(one.peaks.speed_mps.at_most for one in loaded), brake_mps2)
     duration_s = max(one.trajectory.duration_s for one in loaded)
     rests_at_start = all(one.first_speed_mps <= AT_REST_MPS for one in loaded)
     rests_at_end = all(one.last_speed_mps <= AT_REST_MPS for one in loaded)

@@ -15,7 +15,7 @@ import asyncio
 import itertools
 import math
 import secrets
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -143,8 +143,8 @@ class CompanionControl:
         self._numbers = NUMBERS
         self._prepared: OrderedDict[LoadedTrajectory, str] = OrderedDict()
         """Trajectories that the companion has, and their keys there."""
-        self._orders_of_entry = 0
-        """Engagements whose outcome is awaited."""
+        self._relayed: Counter[str] = Counter()
+        """Orders whose outcome is awaited, by name."""
         self._handed_over: tuple[int, str] | None = None
         """Number of the hand-over and the order that takes over, until the companion knows how that ended."""
         # contact with the companion
@@ -319,6 +319,8 @@ class CompanionControl:
         """See `OffboardEngagement.trajectory_refusal`; the companion looks once more."""
         if (why := self._not_flying()) is not None:
             return why
+        if self._relayed["goto"]:
+            return "a goto is on its way to its companion"
         self.controller.end_flight(self._loop.time())
         if self.controller.flight is not None:
             return f"it follows {self.controller.flight.loaded.name} already: abort that first"
@@ -437,7 +439,7 @@ class CompanionControl:
     def _end(self, order: str, reason: str) -> None:
         """Relay an order by which control ends, if it is flown by it, and show it as ended at once."""
         before = self._handed_over
-        if before is None and self.controller.state is OffboardState.OFF and self._orders_of_entry == 0:
+        if before is None and self.controller.state is OffboardState.OFF and not self._relayed["engage"]:
             return
         number = next(self._numbers)
         self._handed_over = (number, reason) if order == "hand_over" else None
@@ -453,7 +455,7 @@ class CompanionControl:
 
     def _flies(self) -> bool:
         """True if its companion flies it, or is being asked to."""
-        return self.controller.active or self._orders_of_entry > 0
+        return self.controller.active or self._relayed["engage"] > 0
 
     def _not_flying(self) -> str | None:
         if (why := self.down_reason()) is not None:
@@ -572,11 +574,11 @@ class CompanionControl:
             "order": order,
             "given": given,
         }
-        self._orders_of_entry += order == "engage"
+        self._relayed[order] += 1
         try:
             return await self._asked(relayed, params, began)
         finally:
-            self._orders_of_entry -= order == "engage"
+            self._relayed[order] -= 1
 
     async def _asked(self, relayed: RelayedOrder, params: Json, began: float) -> Outcome:
         """Ask with the same number until there is an answer, or patience is over. Once a pilot has the vehicle, only

@@ -11,12 +11,12 @@
     finishing   the trajectory has ended: it stays at its end             waiting     -
     waiting     contact                                                   watched     -
     waiting     for ground_lost_s                                         acted       return
-    acted       contact                                                   acted       - (only an order begins anew)
+    acted       contact, and control goes on: the order was denied        watched     -
     any         control has ended: an order, a pilot, the guard           idle        -
 
 Contact is a call of the ground, or a heartbeat of it that is proven to be its own. An order of this table is given
-once: a pilot or the ground that takes the vehicle out of it afterwards is not answered by another one. Without
-control nothing is ever ordered: the vehicle is its pilot's or its autopilot's then, and their failsafes act.
+once in each loss: a pilot who takes the vehicle out of it is not answered by another one. Without control nothing is
+ever ordered: the vehicle is its pilot's or its autopilot's then, and their failsafes act.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class GroundContact:
         match self.state:
             case ContactState.WATCHED if not heard:
                 return self._lose(follows=follows)
-            case ContactState.FINISHING | ContactState.WAITING if heard:
+            case ContactState.FINISHING | ContactState.WAITING | ContactState.ACTED if heard:
                 self.state, self._since = ContactState.WATCHED, now
             case ContactState.FINISHING if not follows:
                 self.state, self._since = ContactState.WAITING, now

@@ -13,9 +13,9 @@ from skygcs.core.trajectory import (
     TrajectoryClock,
     motion_peaks,
     path_within,
-    rate_limit,
 )
-from skygcs.core.trajectory.trajectory_clock import ClockState
+from skygcs.core.trajectory.trajectory_clock import ClockState, rate_limit
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
 from skygcs.errors import RefusedError, TrajectoryError
 from support.examples import examples
 from support.table import each
@@ -33,7 +33,7 @@ def running(clock: TrajectoryClock, at_s: float = 0.0) -> TrajectoryClock:
 
 
 def test_it_waits_runs_and_finishes_with_the_time_of_the_fleet() -> None:
-    clock = TrajectoryClock.of([SQUARE], 2.0)
+    clock = common_clock([LoadedTrajectory(SQUARE)], 2.0, 1.0)
     assert clock.at(5.0).state is ClockState.READY
     clock.start(10.0, 12.0)
     assert clock.at(11.0) == (0.0, 0.0, 0.0, ClockState.WAITING)
@@ -137,7 +137,7 @@ def test_what_the_state_does_not_allow_is_refused() -> None:
 
 
 def test_a_moving_start_and_end_are_ramped() -> None:
-    clock = running(TrajectoryClock.of([LINE], 1.0))
+    clock = running(common_clock([LoadedTrajectory(LINE)], 1.0, 1.0))
     assert (clock.rests_at_start, clock.rests_at_end) == (False, False)
     assert clock.at(0.0).rate == 0.0
     assert clock.at(1.0).rate == pytest.approx(0.5)
@@ -150,12 +150,12 @@ def test_a_moving_start_and_end_are_ramped() -> None:
 
 
 def test_the_rate_limit_suits_the_fastest_trajectory() -> None:
-    assert rate_limit([SQUARE, LINE], 2.5) == pytest.approx(0.5, rel=1e-4)
-    assert rate_limit([Trajectory([Piece(1.0, (0.0,), (0.0,), (0.0,))])], 2.5) == 10.0
+    assert rate_limit(5.0, 2.5) == pytest.approx(0.5, rel=1e-4)
+    assert rate_limit(0.0, 2.5) == 10.0
     with pytest.raises(TrajectoryError, match="longer than 100 s"):
-        rate_limit([LINE], 0.001)
+        rate_limit(2.0, 0.001)
     with pytest.raises(TrajectoryError, match="not positive"):
-        rate_limit([LINE], math.nan)
+        rate_limit(2.0, math.nan)
 
 
 orders = st.lists(
@@ -171,7 +171,7 @@ def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration
 ) -> None:
     """Whatever is ordered and when: s is continuous and monotone, the reference a motion with bounded acceleration."""
     brake = 1.5
-    clock = running(TrajectoryClock.of([trajectory], brake, speed_factor=factor))
+    clock = running(common_clock([LoadedTrajectory(trajectory)], brake, factor))
     due = iter([*((sum(d for d, _ in steps[: i + 1]), what) for i, (_, what) in enumerate(steps)), (math.inf, "")])
     when, what = next(due)
     peaks = motion_peaks(trajectory)

@@ -40,6 +40,9 @@ def test_it_acts_once_after_the_silence(action: GroundLost, follows: bool) -> No
     ((at, ordered),) = ticks(watch, 20.0, 60.0, contact_at=19.8, follows=follows)
     assert ordered == action and at == pytest.approx(24.8, abs=0.21)
     assert watch.state is ContactState.ACTED and watch.lost
+    # the order was denied, and the ground is back: its next loss is another one
+    assert ticks(watch, 60.0, 70.0) == [] and not watch.lost
+    assert [ordered for _, ordered in ticks(watch, 70.0, 90.0, contact_at=70.0)] == [action]
 
 
 def test_finish_waits_for_the_end_and_once_more_for_the_ground() -> None:

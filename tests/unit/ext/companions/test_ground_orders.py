@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 
 from skygcs.core.protocols.command import Outcome
+from skygcs.core.trajectory.replicated_clock import ClockOrder
 from skygcs.ext.companions.ground_orders import GroundOrders
 
 IDS = 255, 25
@@ -33,7 +34,9 @@ async def test_an_order_of_another_ground_is_not_confused_with_one_that_has_its_
     orders.contact("one", IDS)
     ask("one", "old")
     await asyncio.sleep(6)
+    orders._early = 7, {8: ClockOrder("pause", 1.0)}
     orders.contact("another", IDS)
+    assert orders._early == (0, {}), "its numbers name no flight of the other one"
     asked = [ask("another", "new")]
     ends["old"].set_result("of the one before")
     await asyncio.sleep(1)
