@@ -59,9 +59,9 @@ async def test_an_order_of_a_plan_does_not_make_a_later_one_of_a_person_void(tmp
     returns first made the order to return void, and both flew on."""
     decide = Returns._decide
 
-    async def slow(self: Returns, free: Sequence[VehicleActor]) -> Departures:
+    async def slow(self: Returns, free: Sequence[VehicleActor], **how: bool) -> Departures:
         await asyncio.sleep(8.0)
-        return await decide(self, free)
+        return await decide(self, free, **how)
 
     async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
         a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
@@ -84,9 +84,9 @@ async def test_a_trajectory_that_was_asked_for_before_does_not_make_a_return_voi
         await checked.wait()
         return {}
 
-    async def slow(self: Returns, free: Sequence[VehicleActor]) -> Departures:
+    async def slow(self: Returns, free: Sequence[VehicleActor], **how: bool) -> Departures:
         await decided.wait()
-        return await decide(self, free)
+        return await decide(self, free, **how)
 
     async with aloft(tmp_path, px4=0, ardupilot=2) as gcs:
         x, y, up = gcs.place("v1")

@@ -169,13 +169,33 @@ async def test_one_alone_is_given_up_above_another_and_returns_when_it_is_ordere
         await gcs.done("vehicles.goto", targets="v2", enu_m=[0.0, 0.0, 6.0], force=True)  # above the home of v1
         await asyncio.sleep(12.0)
         since = gcs.now
-        await gcs("vehicles.rtl", targets="v1")
+        outcome = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]
+        assert outcome["ok"] and outcome["message"].endswith("; ordered again (skygcs-cli rtl v1), it returns at once")
         await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", "v1")), 150.0)
+        assert gcs.now - since >= returns.STUCK_S, "v2 may be ordered away until then"
         (text,) = [t for t in gcs.texts(since, "command", "v1") if "does not return" in t]
         assert "v2 stays in its way home" in text and "skygcs-cli rtl v1" in text
         assert gcs.is_safe("v1")
         outcome = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]
         assert outcome["message"] == "returning to launch" and gcs.sim("v1").mode in GOING_HOME, "insisted on"
+
+
+async def test_one_alone_is_sent_home_at_once_if_nothing_is_seen_in_its_way(tmp_path: Path) -> None:
+    """At 10 m/s it was held for one parked beside its home, and given up a second later: its way counted as wide as it
+    needs to stop."""
+    async with aloft(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
+        home = gcs.place_of_home("v1")
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[home[0] + 2.0, -8.0, 10.0], force=True)
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[home[0], 40.0, 10.0], force=True)
+        await asyncio.sleep(15.0)
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[home[0] + 2.0, 0.0, 10.0], force=True)
+        await asyncio.sleep(8.0)
+        await gcs.done("vehicles.land", targets="v2")
+        await gcs.until(lambda: not gcs.sim("v2").armed, 60.0)
+        await gcs.step(0.0, 150.0, 0.0)
+        await asyncio.sleep(6.0)
+        outcome = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]
+        assert outcome["message"] == "returning to launch" and gcs.sim("v1").mode in GOING_HOME
 
 
 def faults(gcs: Flown) -> list[str]:

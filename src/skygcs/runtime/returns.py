@@ -132,7 +132,7 @@ class Waiting:
     ordered_at: float = -math.inf
     """When that ended."""
     hint: str = ""
-    """What a person may do."""
+    """Added to what is said of its wait: how a person ends it."""
 
     @property
     def holds_first(self) -> bool:
@@ -196,7 +196,7 @@ class Returns:
         known = [actor for actor in actors if is_placed(actor.vehicle, now)]
         if not known:
             return {}
-        alone = actors[0] if len(actors) == 1 else None
+        alone = known[0] if len(known) == 1 else None
         if alone is not None and self._is_insisted_on(alone):
             self._join(alone)
             return {}
@@ -207,7 +207,7 @@ class Returns:
         # who goes home already, or by its own failsafe, is not held
         free = [actor for actor in known if why_not_held(actor.vehicle) is None and not self._leaves(actor)]
         self._left_at |= dict.fromkeys((a.vehicle.key for a in known if a not in free), now)
-        decided = await self._decide(free)
+        decided = await self._decide(free, alone=alone is not None)
         if alone is not None and alone.vehicle.key in decided.leave:
             self._join(alone)
             return {}
@@ -237,6 +237,7 @@ class Returns:
         seen = {key: actor for key, actor in self._members.items() if actor.vehicle.connected and not actor.closed}
         self._members = {key: actor for key, actor in seen.items() if self._is_under_way(actor, now)}
         self._left_at = {key: at for key, at in self._left_at.items() if key in self._members}
+        self._given_up = {key: order for key, order in self._given_up.items() if key in self._vehicles}
         for table in (self._homes, self._heights, self._seen):
             table.clear()
         self._staying.clear()
@@ -461,20 +462,25 @@ class Returns:
         comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
         return is_flying(vehicle, now) and key not in self._staying and comes
 
-    async def _decide(self, free: Sequence[VehicleActor]) -> Departures:
-        """The decision for these, in turns with others. After a fault they leave one at a time."""
+    async def _decide(self, free: Sequence[VehicleActor], *, alone: bool = False) -> Departures:
+        """The decision for these, in turns with others. After a fault they leave one at a time. ``alone``: one that is
+        ordered to return now, for which only what is seen in its way counts, not what may be."""
         try:
-            return await self._decide_by_ways(free)
+            return await self._decide_by_ways(free, alone=alone)
         except Exception as error:
             self._report_fault("the comparison of ways home: they return one at a time; it", error)
             now = self._loop.time()
+            if alone:
+                return Departures(tuple(actor.vehicle.key for actor in free))
             ahead = [a.name for a in self._members.values() if a not in free and self._is_under_way(a, now)]
             return one_at_a_time({actor.vehicle.key: actor.name for actor in free}, ahead)
 
-    async def _decide_by_ways(self, free: Sequence[VehicleActor]) -> Departures:
+    async def _decide_by_ways(self, free: Sequence[VehicleActor], *, alone: bool) -> Departures:
         now = self._loop.time()
         self._join_those_that_come_home(now)
         waiting = [one for actor in free if (one := self._returning(actor, now)) is not None]
+        if alone:
+            waiting = [one.as_seen() for one in waiting]
         under_way: list[Returning] = []
         fixed: list[Way] = []
         for actor in self._members.values():
@@ -490,7 +496,7 @@ class Returns:
         stays, moving = set(self._staying), set[str]()
         frame = _frame(free[0].vehicle) if self._frame is None and free else self._frame
         for way, still in () if frame is None else self._monitor.present_ways(frame, self._members.keys()):
-            fixed.append(way)
+            fixed.append(replace(way, ball_m=0.0) if alone else way)
             if still:
                 stays.add(way.key)
             else:
@@ -527,9 +533,10 @@ class Returns:
                 self._left_at[key] = now
             work = self._leave(waits) if goal_m is None else self._climb(waits, goal_m)
             self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
-        if self._is_read():
-            stuck = [(self._waiting[key], names) for key, names in decided.stuck.items() if key in self._waiting]
-            self._give_up(stuck)
+        if self._is_read():  # what was not ordered to return may be ordered away yet
+            for_good = {self._members[key].name for key in self._staying}
+            stuck = [(key, names) for key, names in decided.stuck.items() if for_good.issuperset(names)]
+            self._give_up([(self._waiting[key], names) for key, names in stuck if key in self._waiting])
 
     async def _leave(self, waits: Waiting) -> None:
         """A turn of the loop after the decision."""
@@ -655,7 +662,7 @@ class Returns:
         others = [self._returning(other, now) for other in self._members.values() if other is not actor]
         ways = [other.place() for other in others if other is not None]
         if self._frame is not None:
-            ways += [way for way, _ in self._monitor.present_ways(self._frame, self._members.keys())]
+            ways += [way for way, _ in self._monitor.present_ways(self._frame, self._members.keys(), parked=True)]
         return [way.name for way in ways if too_near(down, way)]
 
     async def _land(self, waits: Waiting) -> None:

@@ -364,12 +364,15 @@ class SeparationMonitor:
             mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m
         )
 
-    def present_ways(self, frame: EnuFrame, without: Collection[int]) -> Iterator[tuple[Way, bool]]:
-        """The ways, in this frame, that vehicles which are heard fly or stand on now, and True for each that does not
-        move until somebody orders it to. ``without``: keys of those to leave out."""
+    def present_ways(
+        self, frame: EnuFrame, without: Collection[int], *, parked: bool = False
+    ) -> Iterator[tuple[Way, bool]]:
+        """The ways, in this frame, that vehicles which are heard fly now, and True for each that does not move until
+        somebody orders it to. ``without``: keys of those to leave out. ``parked``: also of those on the ground; launch
+        pads are often nearer to each other than what flies needs."""
         for key, track in self.monitor.tracks.tracks.items() if self.mode != "off" else ():
             actor = self._actors.get(key)
-            if actor is None or key in without or not actor.vehicle.connected:
+            if actor is None or key in without or not actor.vehicle.connected or (track.parked and not parked):
                 continue
             way = self._present_way(actor, track, frame)
             (west, east, south, north), (low_m, high_m) = way.box, way.heights
@@ -385,7 +388,8 @@ class SeparationMonitor:
         if destination is None and not track.parked and not track.lost:
             points += [frame.from_geodetic(*place) for place in self._trajectory(actor)] or _ahead(points[0], track)
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
-        ball_m = track.footprint.ball_m(max(0.0, min(self._loop.time() - track.at, TRACK_SILENT_S) - FRESH_S))
+        silence_s = 0.0 if track.parked else min(self._loop.time() - track.at, TRACK_SILENT_S)
+        ball_m = track.footprint.ball_m(max(0.0, silence_s - FRESH_S))
         return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + holds.radius_m, doing)
 
     def footprint(self, actor: VehicleActor) -> Footprint:

@@ -218,6 +218,15 @@ def test_what_is_below_one_keeps_it_from_nothing_but_a_way_down_there() -> None:
     assert departures([one], [], [above]).waits_for == {1: ("v9",)}
 
 
+def test_one_that_still_brakes_is_not_given_up() -> None:
+    """It needed 25 m more at 10 m/s, and was stuck a second after its order; seen as it is nothing is in its way."""
+    stays = at(9, (10.0, 0.0, 10.0), (10.0, 0.0)).place()
+    one = replace(at(1, (0.0, 40.0, 10.0), (0.0, 0.0)), velocity_mps=(0.0, 10.0, 0.0), age_s=3.0, height=UNKNOWN)
+    assert departures([one.as_seen()], [], [stays], {9}).leave == (1,)
+    decided = departures([replace(one, height=RETURN)], [], [stays], {9})
+    assert decided.waits_for == {1: ("v9",)} and decided.stuck == decided.climb == {}
+
+
 def test_without_any_place_they_leave_one_at_a_time() -> None:
     waiting = {1: "v2", 2: "v1", 3: "v3"}
     assert one_at_a_time(waiting, ["v9"]) == Departures((), waits_for=dict.fromkeys((1, 2, 3), ("v9",)))

@@ -45,6 +45,9 @@ ABOVE_M = 1.0
 BRAKES_MPS2 = 2.0
 """Least deceleration of an ordered hold or return: PX4's MPC_ACC_HOR and ArduCopter's WPNAV_ACCEL are more."""
 
+STANDS_MPS = 1.0
+"""Faster than by wind and GPS noise: it still brakes, its space shrinks, and whether it gets by is judged then."""
+
 
 class ReturnHeight(NamedTuple):
     """Between which heights above its home a vehicle flies home, if it is not higher already.
@@ -128,6 +131,12 @@ class Returning:
     def ball_m(self) -> float:
         speed_mps = math.hypot(*self.velocity_mps[:2])
         return self.footprint.ball_m(self.age_s) + speed_mps * speed_mps / (2.0 * BRAKES_MPS2)
+
+    def as_seen(self) -> Returning:
+        """Itself without what is not known of its way: how it brakes, where it is since its last position, and, if that
+        was not read, how high it climbs."""
+        height = ReturnHeight(0.0, 0.0) if self.height is UNKNOWN else self.height
+        return replace(self, velocity_mps=(0.0, 0.0, 0.0), age_s=0.0, height=height)
 
     def place(self) -> Way:
         """Its space while it waits, or climbs where it stands."""
@@ -275,7 +284,7 @@ def _over_those_that_stay(
     stuck: dict[int, tuple[str, ...]] = {}
     for one in ordered:
         staying = [way for way in blocked[one.key][0] if way.key in stays] if one.key in blocked else []
-        if not staying or math.isinf(one.highest_m):
+        if not staying or math.isinf(one.highest_m) or math.hypot(*one.velocity_mps[:2]) > STANDS_MPS:
             continue
         yield
         goal_m = one.here[2]

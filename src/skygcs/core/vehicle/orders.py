@@ -97,9 +97,9 @@ def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True, 
         raise RefusedError("it is in the air already; use goto with a height")
     if not vehicle.armed and not arm:
         raise RefusedError("it is not armed, and the takeoff was ordered without arming")
-    position, home_amsl_m = fresh_position(vehicle, now), vehicle.home_alt_amsl_m()
-    if position is not None and home_amsl_m is not None and not force:
-        require_below_fence(vehicle, position[2] + height_m - home_amsl_m)
+    if not force:  # its home is where it takes off: both autopilots set it as they arm
+        require_below_fence(vehicle, height_m)
+    position = fresh_position(vehicle, now)
     return autopilot.takeoff(vehicle, height_m, None if position is None else position[2])
 
 

@@ -299,3 +299,21 @@ def test_a_goto_above_its_own_fence_is_refused_unless_insisted_on(autopilot: int
     for name, value in (("GF_ACTION", 1.0), ("FENCE_ENABLE", 0.0)):
         vehicle.parameters.note(name.encode(), value, 9, NOW, bytewise=False)
     assert to(31.0), "it acts by nothing"
+
+
+@each("noise_m", [-3.0, 3.0])
+def test_a_takeoff_as_high_as_its_own_fence_is_not_refused_for_the_noise_of_its_position(noise_m: float) -> None:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    for frame in (
+        voice.beat(PX4, PX4_LOITER),
+        voice.landed(1),
+        voice.position(alt_amsl_m=HOME[2] + noise_m, rel_m=noise_m),
+    ):
+        vehicle.on_frame(frame, NOW)
+    vehicle.origin = Origin(*HOME)
+    for name, value in {"GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 30.0, "GF_ACTION": 3.0}.items():
+        vehicle.parameters.note(name.encode(), value, 9, NOW, bytewise=False)
+    assert orders.takeoff(vehicle, NOW, 30.0)
+    with pytest.raises(RefusedError, match="its own fence acts above 30 m"):
+        orders.takeoff(vehicle, NOW, 30.5)
+    assert orders.takeoff(vehicle, NOW, 30.5, force=True)
