@@ -42,6 +42,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import (
+    AT_A_TURN,
     UNKNOWN,
     Departures,
     ReturnHeight,
@@ -241,7 +242,7 @@ class Returns:
         for table in (self._homes, self._heights, self._seen):
             table.clear()
         self._staying.clear()
-        self._frame = frame
+        self._frame, self._fault = frame, None
 
     async def carry_out(self, waits: Waiting) -> Outcome:
         """The order to return of one of those of `begin`: it leaves, or holds until its way is clear. One that cannot
@@ -479,8 +480,6 @@ class Returns:
         now = self._loop.time()
         self._join_those_that_come_home(now)
         waiting = [one for actor in free if (one := self._returning(actor, now)) is not None]
-        if alone:
-            waiting = [one.as_seen() for one in waiting]
         under_way: list[Returning] = []
         fixed: list[Way] = []
         for actor in self._members.values():
@@ -495,12 +494,17 @@ class Returns:
         # those that are not ordered to return
         stays, moving = set(self._staying), set[str]()
         frame = _frame(free[0].vehicle) if self._frame is None and free else self._frame
-        for way, still in () if frame is None else self._monitor.present_ways(frame, self._members.keys()):
+        present = () if frame is None else self._monitor.present_ways(frame, self._members.keys())
+        for n, (way, still) in enumerate(present):
+            if n % AT_A_TURN == AT_A_TURN - 1:
+                await asyncio.sleep(0)
             fixed.append(replace(way, ball_m=0.0) if alone else way)
             if still:
                 stays.add(way.key)
             else:
                 moving.add(way.name)
+        if alone:
+            waiting, under_way = [one.as_seen() for one in waiting], [one.as_seen() for one in under_way]
         decided = await in_turns(departing(waiting, under_way, fixed, stays))
         if any(name in moving for names in decided.waits_for.values() for name in names):
             self._moved_at = now

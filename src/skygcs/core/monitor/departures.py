@@ -45,6 +45,9 @@ ABOVE_M = 1.0
 BRAKES_MPS2 = 2.0
 """Least deceleration of an ordered hold or return: PX4's MPC_ACC_HOR and ArduCopter's WPNAV_ACCEL are more."""
 
+AT_A_TURN = 32
+"""Ways that are made or compared before others have their turn: a millisecond, of a control period of 20."""
+
 STANDS_MPS = 1.0
 """Faster than by wind and GPS noise: it still brakes, its space shrinks, and whether it gets by is judged then."""
 
@@ -136,7 +139,7 @@ class Returning:
         """Itself without what is not known of its way: how it brakes, where it is since its last position, and, if that
         was not read, how high it climbs."""
         height = ReturnHeight(0.0, 0.0) if self.height is UNKNOWN else self.height
-        return replace(self, velocity_mps=(0.0, 0.0, 0.0), age_s=0.0, height=height)
+        return replace(self, velocity_mps=(0.0, 0.0, self.velocity_mps[2]), age_s=0.0, height=height)
 
     def place(self) -> Way:
         """Its space while it waits, or climbs where it stands."""
@@ -191,8 +194,9 @@ def departing(
         way = one.way()
         taken = [other for other in (*moving, *leaving.values()) if too_near(way, other)]
         yield
-        taken += [other for other in fixed if _blocks(one, way, other)]
-        yield
+        for first in range(0, len(fixed), AT_A_TURN):
+            taken += [other for other in fixed[first : first + AT_A_TURN] if _blocks(one, way, other)]
+            yield
         standing_there = [
             other
             for other in ordered
