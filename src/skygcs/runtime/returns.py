@@ -395,6 +395,7 @@ class Returns:
             self._drop(waits, "it does not wait any more to return: it was forgotten")
         for key in [key for key, actor in self._members.items() if actor.closed]:
             del self._members[key]
+            self._staying.discard(key)
 
     def _is_current(self, waits: Waiting) -> bool:
         """False once it was dropped, or another order to return took its place."""
