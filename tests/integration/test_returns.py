@@ -30,8 +30,8 @@ async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind
     async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
         await swapped(gcs)
         since = gcs.now
-        by_mode = ("vehicles.mode", {"mode": "RTL"}) if "ardupilot" in kind else ("vehicles.rtl", {})  # one order
-        outcomes = (await gcs(by_mode[0], targets="all", **by_mode[1]))["outcomes"]
+        mode = "rtl" if "ardupilot" in kind else "Return"  # one order, by whatever name of its mode
+        outcomes = (await gcs("vehicles.mode", targets="all", mode=mode))["outcomes"]
         assert all(outcome["ok"] for outcome in outcomes.values()), "it is never refused"
         assert outcomes["v1"]["message"] == "it holds until v2 is out of its way home, and returns then"
         await all_down(gcs)

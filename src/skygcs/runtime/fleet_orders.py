@@ -14,7 +14,7 @@ from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders, stop
-from skygcs.core.vehicle.autopilot import has_copter_mode
+from skygcs.core.vehicle.autopilot import copter_mode
 from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_plan import Plan
@@ -228,10 +228,11 @@ class FleetOrders:
 
     def _order_of_mode(self, vehicles: Sequence[VehicleActor], *, name: str = "", force: bool = False) -> Order | None:
         """The order that this mode is, if all of these are copters that have it, of which one flies."""
-        now, order = self._loop.time(), MODE_ORDERS.get(name.upper())
-        if order is None or force or not any(is_flying(actor.vehicle, now) for actor in vehicles):
+        now = self._loop.time()
+        if force or not any(is_flying(actor.vehicle, now) for actor in vehicles):
             return None
-        return order if all(has_copter_mode(actor.vehicle, name.upper()) for actor in vehicles) else None
+        same = {MODE_ORDERS.get(copter_mode(actor.vehicle, name) or "") for actor in vehicles}
+        return same.pop() if len(same) == 1 else None
 
     async def _carry_on(
         self,

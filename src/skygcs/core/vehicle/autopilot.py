@@ -145,15 +145,14 @@ def set_mode(vehicle: Vehicle, name: str) -> Plan:
     return Plan("mode", (step,), f"mode {mode_name(vehicle, number)}")
 
 
-def has_copter_mode(vehicle: Vehicle, name: str) -> bool:
-    """True for a copter whose firmware has a mode of this name."""
+def copter_mode(vehicle: Vehicle, name: str) -> str | None:
+    """The mode of a copter that goes by this name, by the name under which it is reported; None: it has none."""
     if vehicle.kind is not VehicleClass.COPTER:
-        return False
+        return None
     try:
-        modes.mode_number(vehicle.autopilot, vehicle.mode_type, name)
+        return mode_name(vehicle, modes.mode_number(vehicle.autopilot, vehicle.mode_type, name))
     except KeyError:
-        return False
-    return True
+        return None
 
 
 def arm(*, force: bool = False) -> Plan:
