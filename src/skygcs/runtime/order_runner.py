@@ -678,7 +678,8 @@ class OrderRunner:
             # a reason that the operator has to remove
             todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
             if todo is not None:
-                return replace(outcome, message=f"{outcome.message}; {todo}")
+                said = todo in outcome.message  # by the step
+                return outcome if said else replace(outcome, message=f"{outcome.message}; {todo}")
             # the last attempt: accepted, refused for good, superseded, or out of time
             superseded = self.ledger.number > before + (order in MOVING)
             over = superseded or tried_at + RETRY_S > started + wait_s
