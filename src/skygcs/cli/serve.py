@@ -7,6 +7,7 @@ typer and rich would take a third of that.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
@@ -46,9 +47,11 @@ def main(argv: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         code = EXIT_OK
     except OSError as error:  # stdout may be a pipe without a reader, a terminal that is gone, a file on a full disk
+        with contextlib.suppress(OSError):
+            print(end="", flush=True)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            print(f"skygcs: {visible(str(error))}", file=sys.stderr)
+            print(f"skygcs: {visible(str(error) or type(error).__name__)}", file=sys.stderr)
         code = EXIT_FAILED
     sys.exit(code)
 
