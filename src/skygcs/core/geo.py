@@ -40,7 +40,9 @@ NO_PLACE_E7 = 0x7FFFFFFF
 
 NOWHERE_E7 = 100_000
 """0.01 degrees, 1.1 km. An ArduPilot without a fix drifts about 0, 0 by its inertial sensors alone (44 m in 10 s of a
-captured flight); the nearest land is 570 km from there."""
+captured flight); the nearest land is 570 km from there. Nothing is flown or simulated there."""
+
+NOWHERE = "so near to 0, 0 a vehicle's position counts as not known"
 
 
 def is_no_place(lat_e7: int, lon_e7: int) -> bool:
