@@ -132,7 +132,7 @@ class Waiting:
     ordered_at: float = -math.inf
     """When that ended."""
     hint: str = ""
-    """What a person may do."""
+    """Advice to a person."""
 
     @property
     def holds_first(self) -> bool:
