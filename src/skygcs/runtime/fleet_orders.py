@@ -326,14 +326,15 @@ class FleetOrders:
             raise
         order, refusals = given.order, decided.refusals
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
-        for actor, reason in refusals.items():
-            given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
-        # one frame to all where the order may be broadcast, then one task per vehicle for its answer
         waits = refusals or any(one.holds_first for one in decided.returning.values())
-        broadcast = None if waits else self._broadcast_command(vehicles, order)
+        broadcast: BroadcastCommand | None = None
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
+            for actor, reason in refusals.items():
+                given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
+            # one frame to all where the order may be broadcast, then one task per vehicle for its answer
+            broadcast = None if waits else self._broadcast_command(vehicles, order)
             async with asyncio.TaskGroup() as group:
                 for actor in actors:
                     if actor in refusals:
