@@ -110,8 +110,8 @@ class SupervisedChild:
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
     def _start(self, wanted: object) -> subprocess.Popen[bytes]:
-        """In a thread. A process that is there only after its `run` or after `close` is ended at once. Raises
-        OSError."""
+        """Start the process, in a thread. A process that is there only after its `run` or after `close` is ended at
+        once. Raises OSError."""
         process = subprocess.Popen(self._line, stdin=subprocess.PIPE)
         with self._start_lock:
             if self._closed or self._wanted is not wanted:
@@ -149,7 +149,7 @@ class SupervisedChild:
                 self._ending.remove(process)
 
     def _wait(self, process: subprocess.Popen[bytes]) -> None:
-        """In a thread."""
+        """Wait for the process, in a thread."""
         try:
             process.wait(END_S)
         except subprocess.TimeoutExpired:
