@@ -52,7 +52,6 @@ from skygcs.runtime.vehicle_services import (
     OrderRefusal,
     VehicleLinks,
     VehicleServices,
-    WideLinks,
     no_order_refusal,
 )
 from skygcs.runtime.world_frame import WorldFrame
@@ -94,12 +93,12 @@ class Fleet:
         loop: asyncio.AbstractEventLoop,
         on_event: OnEvent,
         *,
-        links: VehicleLinks | None = None,
+        links: VehicleLinks,
         param_cache: ParamCache | None = None,
         probes: bool = False,
     ) -> None:
-        """``send``: `Hub.send`. ``links``: `LinkView`; None: no link is narrow. ``param_cache``: the store of
-        parameters; None: no store. ``probes``: True if the uplinks are probed."""
+        """``send``: `Hub.send`. ``links``: `LinkView`. ``param_cache``: the store of parameters; None: no store.
+        ``probes``: True if the uplinks are probed."""
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
@@ -108,7 +107,7 @@ class Fleet:
         """Called after a sleep of the computer or a standstill of this process."""
         self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
-        self._links = links or WideLinks()
+        self._links = links
         self.locks = FlightLocks(self._links.links_to, self._report_fault)  # of the flights under way
         self.world = WorldFrame(_origin(config), self.vehicles, self.locks, on_event)
         self._of_system: dict[int, set[int]] = {}  # the keys of ``vehicles`` by system id
@@ -459,7 +458,7 @@ class Fleet:
         return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
 
     def everybody(self) -> list[VehicleActor]:
-        """All vehicles that are known."""
+        """All vehicles that the fleet knows."""
         return list(self.vehicles.values())
 
     def flown(self) -> list[VehicleActor]:
@@ -597,7 +596,7 @@ class Fleet:
         return None if first is None else first.name
 
     def _system(self, sysid: int, now: float) -> list[dict[str, Any]]:
-        """Its components, autopilots among them, by component id."""
+        """All components of one system, autopilots among them, by component id."""
         own = [self.vehicles[key].describe(now) for key in self._of_system.get(sysid, ())]
         others = [actor.component.describe(now) for actor in self.components.of_system(sysid)]
         return sorted((*own, *others), key=lambda component: int(component["compid"]))

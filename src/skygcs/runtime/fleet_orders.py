@@ -140,7 +140,7 @@ class Given:
         return Outcome(False, "cancelled", f"cancelled: {self.ended_by}")
 
     def all_outcomes(self, actors: Sequence[Actor]) -> dict[str, Any]:
-        """By name, also for those for which it was cancelled."""
+        """The outcomes by name; of a vehicle for which the order had not ended, that it was cancelled."""
         return {actor.name: self.outcomes.get(actor.name, self.cancelled()) for actor in actors}
 
 
@@ -257,7 +257,7 @@ class FleetOrders:
             del self._begun[given]
 
     def _report_cancelled(self, actors: Sequence[Actor], given: Given) -> None:
-        """An order has ended before it was sent to anyone."""
+        """Report an order that ended before it was sent to any vehicle."""
         for vehicle in (actor for actor in actors if isinstance(actor, VehicleActor)):
             outcome = vehicle.outcomes.finish(given.order.__name__, given.cancelled())
             given.ended(vehicle.name, _shaped(given.order, outcome))
@@ -599,7 +599,7 @@ class FleetOrders:
 
 
 def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> dict[VehicleActor, str]:
-    """Those for which the order comes too late, and why; see `OrderRunner.overtaken`."""
+    """Vehicles for which the order comes too late, and why; see `OrderRunner.overtaken`."""
     late = {actor: actor.runner.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
 
