@@ -110,16 +110,10 @@ class SupervisedChild:
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
     def _start(self, wanted: object) -> subprocess.Popen[bytes]:
-<<<<<<< HEAD
-        """In a thread. A process that is there only after its `run` or after `close` is ended at once. Raises
-        OSError."""
-        # in a session of its own: Ctrl-C ends the daemon, and a hang-up has it read its file, but neither ends this
-        process = subprocess.Popen(self._line, stdin=subprocess.PIPE, start_new_session=True)
-=======
         """Start the process, in a thread. A process that is there only after its `run` or after `close` is ended at
         once. Raises OSError."""
-        process = subprocess.Popen(self._line, stdin=subprocess.PIPE)
->>>>>>> corex
+        # in a session of its own: Ctrl-C ends the daemon, and a hang-up has it read its file, but neither ends this
+        process = subprocess.Popen(self._line, stdin=subprocess.PIPE, start_new_session=True)
         with self._start_lock:
             if self._closed or self._wanted is not wanted:
                 self._end(process)
