@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from skygcs.core.geo import is_no_place, quaternion_from_euler
+from skygcs.core.geo import Quaternion, is_no_place, quaternion_from_euler
 from skygcs.core.ros.interfaces import Interfaces
 from skygcs.core.ros.memory import Sample, number
-from skygcs.core.ros.rotations import Quaternion, yaw_of
+from skygcs.core.ros.rotations import yaw_of
 from skygcs.core.ros.stamps import EPOCH_US, VehicleClock
 
 Fields = Mapping[str, Any]
