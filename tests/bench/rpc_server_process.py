@@ -14,6 +14,7 @@ from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet import Fleet
 from support.fake_daemon import FakeDaemon
+from support.services import KnownLinks
 
 TELEMETRY: dict[str, dict[str, Any]] = {
     "HEARTBEAT": {"type": 2, "autopilot": 12, "base_mode": 81, "custom_mode": 50593792, "system_status": 3},
@@ -33,7 +34,7 @@ class BenchDaemon(FakeDaemon):
     def __init__(self, vehicle_count: int) -> None:
         super().__init__(0)
         loop = asyncio.get_running_loop()
-        self.fleet: Any = Fleet(FleetConfig(), self.dialect, lambda *_: True, loop, lambda _: None)
+        self.fleet: Any = Fleet(FleetConfig(), self.dialect, lambda *_: True, loop, lambda _: None, links=KnownLinks())
         for sysid in range(1, vehicle_count + 1):
             self.hear_all(sysid)
 

@@ -23,7 +23,7 @@ from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.route_reports import RouteReports
 from support.routed import DIALECT, message
-from support.services import Notes
+from support.services import KnownLinks, Notes
 
 SIZES = (10, 250)
 FRAMES = 25_000
@@ -50,7 +50,7 @@ class Field:
         self.loop = asyncio.get_running_loop()
         self.now = self.loop.time()
         self.hub = Hub(FleetConfig(), DIALECT, self.loop, self._on_event)
-        self.fleet = Fleet(FleetConfig(), DIALECT, lambda *_, **__: True, self.loop, lambda _: None)
+        self.fleet = Fleet(FleetConfig(), DIALECT, lambda *_, **__: True, self.loop, lambda _: None, links=KnownLinks())
         self.hub.connect(self.fleet, cast(RouteReports, Notes(lambda note, channel: None)))
         self.vehicles = vehicles
         self.number = 0

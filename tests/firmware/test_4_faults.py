@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -183,11 +184,13 @@ def test_attitude_begins_in_wind_without_a_bump(air: Field, figures: dict[str, A
         set_by_another_program(air, {"SIM_WIND_SPD": 0})
 
 
-def set_by_another_program(field: Field, values: Mapping[str, float]) -> None:
-    """Change parameters under a flight, which skygcs itself does not."""
+def set_by_another_program(field: Field, values: Mapping[str, float], *, whole: bool = False) -> None:
+    """Change parameters under a flight, which skygcs itself does not. ``whole``: a PX4's integers, sent bytewise."""
+    kind = mav.MAV_PARAM_TYPE_INT32 if whole else mav.MAV_PARAM_TYPE_REAL32
     with field.ground_station() as program:
         for name, value in [*values.items()] * 3:  # no answer is waited for
-            program.mav.param_set_send(field.sysids[0], 1, name.encode(), value, mav.MAV_PARAM_TYPE_REAL32)
+            sent = struct.unpack("<f", struct.pack("<i", int(value)))[0] if whole else value
+            program.mav.param_set_send(field.sysids[0], 1, name.encode(), sent, kind)
             time.sleep(0.1)
 
 
@@ -364,7 +367,7 @@ def test_a_fence_test_is_refused_in_flight(air: Field, figures: dict[str, Any]) 
 def gps(field: Field, on: bool) -> None:
     # By the simulators' own parameters: satellites in use, and (4.6) a receiver that says nothing.
     params = {"SIM_GPS_USED": 10 if on else 0} if field.px4 else {"SIM_GPS_DISABLE": 0 if on else 1}
-    field.order("params.set", field.one, params=params, settle=False, force=True)  # it flies
+    set_by_another_program(field, params, whole=field.px4)
 
 
 @pytest.mark.minutes

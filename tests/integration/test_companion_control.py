@@ -237,6 +237,23 @@ async def test_a_pause_that_comes_before_the_start_stops_it_there(tmp_path: Path
         assert there == pytest.approx(here, abs=0.02) and here > 2.0
 
 
+async def test_no_pause_stands_without_the_resume_that_followed_it(tmp_path: Path) -> None:
+    """Nothing reaches the companion for longer than the resume alone is repeated."""
+    async with companion_pair(tmp_path, delay_s=0.05, engaged="position") as pair:
+        began = await start_circle(pair)
+        await asyncio.sleep(began + 8.0 - pair.now)
+        until = pair.now + 8.0
+        pair.calls.lose = lambda method, given: pair.now < until and method == "companion.order"
+        await pair.done("trajectory.pause")
+        await asyncio.sleep(0.5)
+        await pair.done("trajectory.resume")
+        await asyncio.sleep(12)
+        flights = [a.offboard.controller.flight for a in (pair.ground.fleet.find("v1"), pair.pi.actor())]
+        here, there = (f.clock.at(pair.now) for f in flights if f is not None)
+        assert here.state is there.state is ClockState.RUNNING
+        assert there.trajectory_s == pytest.approx(here.trajectory_s, abs=0.6)
+
+
 async def test_a_pause_has_room_beside_any_number_of_orders_to_the_clock(tmp_path: Path) -> None:
     async with companion_pair(tmp_path, delay_s=0.8, engaged="position") as pair:
         began = await start_circle(pair)

@@ -22,12 +22,12 @@ from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.undo_journal import UndoJournal
-from skygcs.runtime.vehicle_services import VehicleServices, WideLinks
+from skygcs.runtime.vehicle_services import VehicleServices
 from support.inline_disk import inline_disk
 
 
-class KnownLinks(WideLinks):
-    """Links with the properties that a test sets."""
+class KnownLinks:
+    """Links with the properties that a test sets; without limits until then."""
 
     def __init__(self) -> None:
         self.bytes_per_s = math.inf
@@ -37,7 +37,7 @@ class KnownLinks(WideLinks):
         self.held: Callable[[Hashable], bool] = lambda key: False
         """True for the key of a message that still waits to be sent."""
 
-    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> float:
         return self.bytes_per_s
 
     def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:
@@ -52,6 +52,33 @@ class KnownLinks(WideLinks):
     def is_replayed(self, key: int) -> bool:
         return key in self.replayed
 
+    def stream_refusal(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> str | None:
+        return None
+
+    def why_silent(self, vehicle: Vehicle) -> str:
+        return ""
+
+    def radio_to(self, vehicle: Vehicle) -> str | None:
+        return None
+
+    def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
+        return ()
+
+    def links_to(self, vehicle: Vehicle) -> frozenset[str]:
+        return frozenset()
+
+    def uplink_lost(self, key: int) -> None:
+        pass
+
+    def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
+        return None
+
+    def forget_flows(self) -> None:
+        pass
+
+    def authority_refusal(self, sysid: int) -> str | None:
+        return None
+
 
 def services(
     dialect: Dialect,
@@ -60,7 +87,7 @@ def services(
     on_event: Callable[[Event], None],
     *,
     own: tuple[int, int] = (255, 25),
-    links: WideLinks | None = None,
+    links: KnownLinks | None = None,
     log_dir: Path = Path("logs"),
     param_cache: ParamCache | None = None,
 ) -> VehicleServices:
@@ -70,7 +97,7 @@ def services(
         send,
         loop,
         on_event,
-        links or WideLinks(),
+        links or KnownLinks(),
         list,
         param_cache or ParamCache(None),
         UndoJournal(log_dir / "undo"),

@@ -14,6 +14,7 @@ from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
+from support.services import KnownLinks
 from support.vehicles import HOME, flight_dialect
 
 
@@ -39,7 +40,12 @@ class SimField:
         )
         self.sim = SimFleet(vehicles)
         self.fleet = Fleet(
-            FleetConfig.model_validate(config), self.dialect, self._send, self.loop, self.events.append, **fleet
+            FleetConfig.model_validate(config),
+            self.dialect,
+            self._send,
+            self.loop,
+            self.events.append,
+            **{"links": KnownLinks(), **fleet},
         )
         self._down = FrameParser(self.dialect)
         self._up = FrameParser(self.dialect)

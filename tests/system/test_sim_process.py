@@ -176,6 +176,7 @@ def test_with_separate_ports_each_vehicle_has_its_own_socket(start: Callable[...
         (("--pty", "/nonexistent/radio"), "pty /nonexistent/radio: No such file or directory"),
         (("--home", "north pole"), "--home 'north pole': write LAT,LON,AMSL"),
         (("--home", "91,0,0"), "not a place on Earth"),
+        (("--home", "0,0,0"), "so near to 0, 0"),
         (("--px4", "0", "--ardupilot", "0"), "no vehicles"),
         (("--px4", "300"), "do not fit in 1..255"),
     ],

@@ -164,6 +164,7 @@ def test_no_firmware_outlives_a_killed_launcher(start: Start) -> None:
         (("--px4", "2", "--spacing", "1"), "at least 5 m apart"),
         (("--px4", "1", "--home", "1,2"), "--home"),
         (("--px4", "1", "--home", "95,2,3"), "not a place on Earth"),
+        (("--px4", "1", "--home", "0,0,3"), "so near to 0, 0"),
         (("--px4", "1", "--param", "A"), "NAME=VALUE"),
         (("--px4", "1", "--param", "A;rm=1"), "NAME=VALUE"),
         (("--px4", "1", "--param", "copter:A=1"), "NAME=VALUE"),

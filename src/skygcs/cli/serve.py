@@ -7,6 +7,7 @@ typer and rich would take a third of that.
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import os
 import sys
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 HOME = "43.7806,-79.4653,180"
 """Where simulated vehicles stand unless `--home` says otherwise: latitude, longitude, metres above sea level."""
 
+OUTPUT_LOST = frozenset({errno.EPIPE, errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""Errors of stdout: a pipe without a reader, a terminal that is gone, a file on a disk that takes no more."""
+
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of `skygcs`. Exits 0 done, 1 failed (one line on stderr says why), 2 usage."""
@@ -45,7 +49,9 @@ def main(argv: list[str] | None = None) -> None:
         code = EXIT_FAILED
     except KeyboardInterrupt:
         code = EXIT_OK
-    except OSError as error:  # stdout may be a pipe without a reader, a terminal that is gone, a file on a full disk
+    except OSError as error:
+        if error.errno not in OUTPUT_LOST or sys.stdout is None:
+            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
             print(f"skygcs: {visible(str(error))}", file=sys.stderr)

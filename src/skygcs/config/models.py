@@ -24,7 +24,7 @@ from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
 from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
-from skygcs.core.geo import EAST_DEG
+from skygcs.core.geo import EAST_DEG, NOWHERE, is_no_place
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
@@ -308,6 +308,12 @@ class SimulatedLinkConfig(RadioKeys, LinkCommon):
     """A parameter file, taken in by the vehicles of its firmware when they are powered up."""
     radio: EmulatedRadio | None = None
     """Radios between the daemon and the vehicles; None: a wire without end. Paced while the role is "radio"."""
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> SimulatedLinkConfig:
+        if is_no_place(round(self.lat_deg * 1e7), round(self.lon_deg * 1e7)):
+            raise ValueError(f"lat_deg and lon_deg: {NOWHERE}")
+        return self
 
     @property
     def counts(self) -> dict[str, int]:

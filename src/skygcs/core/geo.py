@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+"""(w, x, y, z)."""
 
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius (IUGG); only for `distance_m`, whose error stays below 0.6 %."""
@@ -40,7 +42,9 @@ NO_PLACE_E7 = 0x7FFFFFFF
 
 NOWHERE_E7 = 100_000
 """0.01 degrees, 1.1 km. An ArduPilot without a fix drifts about 0, 0 by its inertial sensors alone (44 m in 10 s of a
-captured flight); the nearest land is 570 km from there."""
+captured flight); the nearest land is 570 km from there. Nothing is flown or simulated there."""
+
+NOWHERE = "so near to 0, 0 a vehicle's position counts as not known"
 
 
 def is_no_place(lat_e7: int, lon_e7: int) -> bool:
@@ -233,7 +237,7 @@ def heading_from_yaw_enu_deg(yaw_deg: float) -> float:
     return wrap_deg_360(90.0 - yaw_deg)
 
 
-def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
     """(w, x, y, z) of a turn about z, then about the new y (pitch), then about the new x (roll), in radians: MAVLink's
     angles of an FRD body in NED. In ENU and FLU a positive pitch lowers the nose."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
@@ -253,3 +257,31 @@ def euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return roll, pitch, yaw
+
+
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton's product: the turn ``b``, then ``a``; or ``a``, then ``b`` about the axes that ``a`` has turned."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse of a unit quaternion."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+def rotated(q: Quaternion, v: Vector) -> Vector:
+    """A vector turned by a unit quaternion."""
+    w, x, y, z = q
+    tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
+    return (
+        v[0] + w * tx + y * tz - z * ty,
+        v[1] + w * ty + z * tx - x * tz,
+        v[2] + w * tz + x * ty - y * tx,
+    )

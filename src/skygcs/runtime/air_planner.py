@@ -60,7 +60,7 @@ MARGIN_POOR_DB, MARGIN_FAIR_DB = 8.0, 14.0
 
 
 class _Radio:
-    """One channel into a radio, with its budget, or a link with one air, without."""
+    """A channel into a radio with its budget, or a link whose peers share one air, without a budget."""
 
     def __init__(self, link: Link, air: AirBudget | None) -> None:
         self.link = link
@@ -267,7 +267,7 @@ class AirPlanner:
         return serial * (pacer.rates.duty_cycle if round_s is None else 1.0), slot * radio.downlink.factor
 
     def _demand(self, radio: _Radio, key: int, actor: VehicleActor) -> RateDemand | None:
-        """None: nothing is requested of it (``streams = {}``), and nothing is turned off."""
+        """The rates that the fleet file demands of it; None (``streams = {}``): none is requested, none turned off."""
         config = radio.link.config
         assert isinstance(config, SerialLinkConfig | SimulatedLinkConfig | XBeeLinkConfig)
         rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
@@ -294,7 +294,7 @@ class AirPlanner:
         return sum(losses) / len(losses) if losses else None
 
     def _report_of(self, radio: _Radio, now: float) -> RadioReport | None:
-        """The newest of the radio itself."""
+        """The newest status report of the radio itself."""
         return radio.air.pacer.last if radio.air is not None and radio.air.pacer.fresh(now) else None
 
     def _judge(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:

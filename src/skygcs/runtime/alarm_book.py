@@ -102,7 +102,7 @@ class AlarmBook:
             self._take(signal, logged=True)
 
     def _take(self, signal: Signal, *, logged: bool) -> None:
-        """``logged``: the event that it comes from is in the log."""
+        """Take in a signal, and publish the alarm that it raises. ``logged``: the event of the signal is in the log."""
         before = self._alarms.changes
         alarm = self._alarms.take(signal, time.time())
         if alarm is not None:

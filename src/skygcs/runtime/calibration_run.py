@@ -44,7 +44,7 @@ KIND = "calibration"
 
 
 class CalibrationRun:
-    """One per vehicle. The coroutines are orders: they return an outcome and do not raise."""
+    """Calibration of one vehicle's sensors. The coroutines are orders: they return an outcome and do not raise."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class CalibrationRun:
         return calibration.outcome
 
     async def confirm(self) -> Outcome:
-        """The vehicle lies as it asked to."""
+        """Confirm that the vehicle lies as its calibration asked for."""
         calibration = self._calibration
         if calibration is None:
             return Outcome.refused("it is not being calibrated")
@@ -140,7 +140,7 @@ class CalibrationRun:
     # -- what the vehicle says
 
     def status(self) -> CalibrationStatus | None:
-        """None: none runs."""
+        """Status of the calibration that runs; None: none runs."""
         return None if self._calibration is None else self._calibration.status()
 
     def on_frame(self, frame: Frame, now: float) -> None:
@@ -160,7 +160,7 @@ class CalibrationRun:
             self._changed()
 
     def stop(self, text: str) -> None:
-        """The vehicle was lost or has rebooted."""
+        """End the run: the vehicle was lost or has rebooted."""
         if self._calibration is not None:
             self._calibration.on_lost(text, self._loop.time())
             self._changed()

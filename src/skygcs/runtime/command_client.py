@@ -107,7 +107,7 @@ class _Line:
         """`Moves.accepted` of the last one."""
 
     def is_idle(self, now: float) -> bool:
-        """True if no command has it or waits for it, and it knows of nothing that a next one would wait for."""
+        """True if no command is in flight or waits, and a next one would not have to wait either."""
         if self.waiting or self.lock.locked():
             return False
         return now >= self.ended_at + ECHO_ACK_S and (not self.late or now >= self.quiet_until)
@@ -129,7 +129,7 @@ class Moves:
     """Called when the vehicle has accepted it, also after a newer order has taken its place."""
 
     def outcome_unsent(self) -> Outcome | None:
-        """Its outcome if it is not sent although its turn has come; None: it is sent."""
+        """The outcome of a command that must not be sent now that its turn has come; None: it may be sent."""
         if not self.wanted():
             return Outcome(False, "cancelled", SUPERSEDED)
         if (why := self.taken()) is not None:
@@ -248,8 +248,8 @@ class CommandClient:
         timers_s: tuple[float, ...] = RETRY_TIMERS_S,
         clearance: Clearance | None = None,
     ) -> Outcome:
-        """Send it and wait for its outcome. ``satisfied``: True once the state shows the effect, so that a lost ack
-        does not matter. Cancelling drops the command; transmissions cannot be undone.
+        """Send a command and wait for its outcome. ``satisfied``: True once the state shows the effect, so that a lost
+        ack does not matter. Cancelling drops the command; transmissions cannot be undone.
 
         The first transmission uses the best link. Repeats, where they are harmless, use every link that leads to the
         vehicle: the best may be the one that loses them. Of the orders `EVERYWHERE` the first one does, too.
@@ -392,7 +392,7 @@ class CommandClient:
             self.stop(command, result, message)
 
     def stop_unauthorised(self, message: str) -> None:
-        """Another site may command the vehicle now: end everything but vehicles.stop."""
+        """End everything but vehicles.stop: another site may command the vehicle now."""
         for command in [c for c, r in self._running.items() if not is_exempt(r.request.clearance)]:
             self.stop(command, "refused", message)
 
@@ -406,7 +406,7 @@ class CommandClient:
             self.stop(command, "cancelled", SUPERSEDED)
 
     def close(self, reason: str) -> None:
-        """Nothing is sent any more, whatever still waits for its turn: the daemon ends, or its vehicle was dropped."""
+        """End all commands, and send nothing any more: the daemon ends, or the vehicle was dropped."""
         self._closed = reason
         self._send = _refuse
         for command in list(self._running):
@@ -417,7 +417,7 @@ class CommandClient:
         self._timer.set(None)
 
     def _line(self, command: int) -> _Line:
-        """Its line; a new one takes the place of those that are idle, as there are 65,536 ids."""
+        """The line of a command id. A new one drops those that are idle: there are 65,536 ids."""
         line = self._lines.get(command)
         if line is None:
             now = self._loop.time()

@@ -123,7 +123,7 @@ class Components:
             self.forget(sysid << 8 | compid)
 
     def of_system(self, sysid: int) -> list[ComponentActor]:
-        """By component id."""
+        """The components of one system, by component id."""
         siblings = self._systems.get(sysid, {})
         return [siblings[compid] for compid in sorted(siblings)]
 
@@ -134,7 +134,7 @@ class Components:
         return max(heard, default=None)
 
     def all(self) -> list[ComponentActor]:
-        """By system, then by component id."""
+        """All components, by system and then by component id."""
         return [self._by_key[key] for key in sorted(self._by_key)]
 
     def get(self, sysid: int, compid: int) -> ComponentActor | None:
@@ -142,12 +142,12 @@ class Components:
         return self._by_key.get(sysid << 8 | compid)
 
     def close(self) -> None:
-        """The daemon ends."""
+        """End all orders: the daemon ends."""
         for actor in self._by_key.values():
             actor.close("skygcs is shutting down")
 
     def name_of(self, sysid: int, compid: int) -> str:
-        """ "alpha/191"; "7/191" of a system without a vehicle."""
+        """The name of a component: "alpha/191"; "7/191" of a system without a vehicle."""
         return f"{self._vehicle_of(sysid) or sysid}/{compid}"
 
     def _meet(self, key: int, frame: Frame, now: float) -> ComponentActor | None:
@@ -185,13 +185,13 @@ class Components:
             self._on_event(Event("statustext", vehicle, actor.sysid, f"{actor.name}: {text.text}", data))
 
     def new_command_client(self, sysid: int, compid: int) -> CommandClient:
-        """Note the first order to a component: from now on acknowledgements are read."""
+        """Make the commands of a component for its first order: from now on its acknowledgements are read."""
         self._services.links.forget_flows()
         services = self._services
         return CommandClient((sysid, compid), services.own, services.dialect, services.send, services.loop)
 
     def report(self, actor: ComponentActor, order: str, outcome: Outcome) -> Outcome:
-        """An order to a component has ended."""
+        """Report the outcome of an order to a component."""
         data = {"order": order, "compid": actor.compid, **outcome.as_dict()}
         text = f"{actor.name}: {order}: {outcome.message}"
         self._on_event(Event("command", self._vehicle_of(actor.sysid), actor.sysid, text, data))
@@ -218,7 +218,7 @@ class ComponentActor:
 
     @property
     def name(self) -> str:
-        """ "alpha/191"."""
+        """The component's name, "alpha/191"."""
         return self._table.name_of(self.sysid, self.compid)
 
     @property
@@ -236,7 +236,7 @@ class ComponentActor:
 
     @property
     def commands(self) -> CommandClient:
-        """Created for the first order."""
+        """The component's commands, created for the first order."""
         if self._commands is None:
             self._commands = self._table.new_command_client(self.sysid, self.compid)
         return self._commands

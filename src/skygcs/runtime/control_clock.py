@@ -54,7 +54,7 @@ class ControlClock:
 
     @property
     def due(self) -> float:
-        """When the next tick is due, or one that is late was. While it runs."""
+        """Time at which the next tick is due, or was if it is late. Only while the clock runs."""
         return self._due
 
     def start(self) -> None:

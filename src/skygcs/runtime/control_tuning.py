@@ -143,7 +143,7 @@ class ControlTuning:
 
 
 def offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
-    """How to fly by these settings; ``hover_thrust``: what the autopilot reports. Raises ConfigError."""
+    """The control law of these settings; ``hover_thrust``: what the autopilot reports. Raises ConfigError."""
     config = OffboardConfig(settings.law(hover_thrust), settings.guard(), raw=settings.raw_limits())
     rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
     others = {"rate_min_hz": settings.rate_min_hz, "velocity_predictor": settings.velocity_predictor}

@@ -81,7 +81,7 @@ class _Walk:
 
 
 class VehicleFence:
-    """One per vehicle. ``request`` requests one message of the vehicle. Tests are reported as events."""
+    """The fence of one vehicle. ``request`` requests one message of the vehicle. Tests are reported as events."""
 
     def __init__(
         self,
@@ -169,12 +169,12 @@ class VehicleFence:
         return FenceOutcome(failed or Outcome(True, "accepted", f"the fence is {settings}"), settings.as_dict())
 
     async def settings(self) -> fence_params.FenceSettings | str:
-        """Its settings as read now; or why they are not known."""
+        """Read the fence's settings; returns them, or why they are not known."""
         held = await self._held()
         return held.message if isinstance(held, Outcome) else fence_params.settings_of(self._vehicle.family, held)
 
     async def status(self) -> FenceOutcome:
-        """Its settings as read now, and its reports of breaches."""
+        """Read the fence's settings; returns them with the vehicle's reports of breaches."""
         held = await self._held()
         if isinstance(held, Outcome):
             return FenceOutcome(held)

@@ -52,7 +52,6 @@ from skygcs.runtime.vehicle_services import (
     OrderRefusal,
     VehicleLinks,
     VehicleServices,
-    WideLinks,
     no_order_refusal,
 )
 from skygcs.runtime.world_frame import WorldFrame
@@ -61,9 +60,13 @@ MAX_VEHICLES_OF_LINK = 250
 """System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats. One that
 the fleet file names always has its place."""
 
-ROOM_AGAIN_S = 1.0
-"""From one look for a place on a link where there was none to the next. To forget a vehicle and to meet another costs
-some 5 ms; a peer that makes up thousands a second is to cost no more than this."""
+ROOM_AGAIN_S, ROOM_FOR_KNOWN_S = 1.0, 0.05
+"""From one look for a place on a link where there was none to the next, and for ids that were refused before: made-up
+ones seldom come again, and would else take every place. To forget a vehicle and to meet another costs some 5 ms; a peer
+that makes up thousands a second is to cost no more than a tenth of the time."""
+
+MAX_TURNED_AWAY = 4096
+"""Ids that were refused, the last ones: a flood of 1,000 a second leaves a vehicle's until its next heartbeats."""
 
 OWN_IDS_AGAIN_S = 60.0
 """Between two reports of an autopilot that has our own ids."""
@@ -90,12 +93,12 @@ class Fleet:
         loop: asyncio.AbstractEventLoop,
         on_event: OnEvent,
         *,
-        links: VehicleLinks | None = None,
+        links: VehicleLinks,
         param_cache: ParamCache | None = None,
         probes: bool = False,
     ) -> None:
-        """``send``: `Hub.send`. ``links``: `LinkView`; None: no link is narrow. ``param_cache``: the store of
-        parameters; None: no store. ``probes``: True if the uplinks are probed."""
+        """``send``: `Hub.send`. ``links``: `LinkView`. ``param_cache``: the store of parameters; None: no store.
+        ``probes``: True if the uplinks are probed."""
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
@@ -104,7 +107,7 @@ class Fleet:
         """Called after a sleep of the computer or a standstill of this process."""
         self.order_refusal: OrderRefusal = no_order_refusal  # the daemon sets that of its extensions
         self._dialect, self._send, self._loop, self._on_event = dialect, send, loop, on_event
-        self._links = links or WideLinks()
+        self._links = links
         self.locks = FlightLocks(self._links.links_to, self._report_fault)  # of the flights under way
         self.world = WorldFrame(_origin(config), self.vehicles, self.locks, on_event)
         self._of_system: dict[int, set[int]] = {}  # the keys of ``vehicles`` by system id
@@ -125,6 +128,7 @@ class Fleet:
         self.sleep = SleepWatch(self._woke, loop)
         self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
         self._room_sought_at: dict[str, float] = {}  # by link, where there was none
+        self._turned_away: dict[int, None] = {}  # keys that were refused for lack of room, the last ones
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`SharedIds.others`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event, self.monitor, self.locks)
@@ -454,7 +458,7 @@ class Fleet:
         return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
 
     def everybody(self) -> list[VehicleActor]:
-        """All vehicles that are known."""
+        """All vehicles that the fleet knows."""
         return list(self.vehicles.values())
 
     def flown(self) -> list[VehicleActor]:
@@ -490,7 +494,7 @@ class Fleet:
         if key == self._own_key:
             self._refuse_own_ids(frame, channel_label, now)
             return
-        if not self._has_place(frame.sysid, channel_label, now):
+        if not self._has_place(key, channel_label, now):
             self.refused_vehicles += 1
             if self.refused_vehicles == 1:
                 text = (
@@ -592,7 +596,7 @@ class Fleet:
         return None if first is None else first.name
 
     def _system(self, sysid: int, now: float) -> list[dict[str, Any]]:
-        """Its components, autopilots among them, by component id."""
+        """All components of one system, autopilots among them, by component id."""
         own = [self.vehicles[key].describe(now) for key in self._of_system.get(sysid, ())]
         others = [actor.component.describe(now) for actor in self.components.of_system(sysid)]
         return sorted((*own, *others), key=lambda component: int(component["compid"]))
@@ -603,12 +607,17 @@ class Fleet:
             return []
         return [(text, c.compid) for c in self.components.of_system(key >> 8) for text in c.component.texts]
 
-    def _has_place(self, sysid: int, link: str, now: float) -> bool:
+    def _has_place(self, key: int, link: str, now: float) -> bool:
         """True if there is room for a new vehicle; if necessary one that is lost is removed, on each link one in
-        `ROOM_AGAIN_S`."""
+        `ROOM_AGAIN_S`, or in `ROOM_FOR_KNOWN_S`."""
+        sysid = key >> 8
         if len(self.vehicles) < MAX_VEHICLES_OF_LINK or (sysid in self._configs and not self._of_system.get(sysid)):
             return True
-        if now - self._room_sought_at.get(link, -math.inf) < ROOM_AGAIN_S:
+        again_s = ROOM_FOR_KNOWN_S if key in self._turned_away else ROOM_AGAIN_S
+        self._turned_away[key] = None
+        if len(self._turned_away) > MAX_TURNED_AWAY:
+            del self._turned_away[next(iter(self._turned_away))]
+        if now - self._room_sought_at.get(link, -math.inf) < again_s:
             return False
         unnamed = [key for key in self.vehicles if key >> 8 not in self._configs]
         on_link = [key for key in unnamed if self._met_on[key] == link]

@@ -140,7 +140,7 @@ class Given:
         return Outcome(False, "cancelled", f"cancelled: {self.ended_by}")
 
     def all_outcomes(self, actors: Sequence[Actor]) -> dict[str, Any]:
-        """By name, also for those for which it was cancelled."""
+        """The outcomes by name; of a vehicle for which the order had not ended, that it was cancelled."""
         return {actor.name: self.outcomes.get(actor.name, self.cancelled()) for actor in actors}
 
 
@@ -258,7 +258,7 @@ class FleetOrders:
             del self._begun[given]
 
     def _report_cancelled(self, actors: Sequence[Actor], given: Given) -> None:
-        """An order has ended before it was sent to anyone."""
+        """Report an order that ended before it was sent to any vehicle."""
         for vehicle in (actor for actor in actors if isinstance(actor, VehicleActor)):
             outcome = vehicle.outcomes.finish(given.order.__name__, given.cancelled())
             given.ended(vehicle.name, _shaped(given.order, outcome))
@@ -327,14 +327,15 @@ class FleetOrders:
             raise
         order, refusals = given.order, decided.refusals
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
-        for actor, reason in refusals.items():
-            given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
-        # one frame to all where the order may be broadcast, then one task per vehicle for its answer
         waits = refusals or any(one.holds_first for one in decided.returning.values())
-        broadcast = None if waits else self._broadcast_command(vehicles, order)
+        broadcast: BroadcastCommand | None = None
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
+            for actor, reason in refusals.items():
+                given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
+            # one frame to all where the order may be broadcast, then one task per vehicle for its answer
+            broadcast = None if waits else self._broadcast_command(vehicles, order)
             async with asyncio.TaskGroup() as group:
                 for actor in actors:
                     if actor in refusals:
@@ -599,7 +600,7 @@ class FleetOrders:
 
 
 def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> dict[VehicleActor, str]:
-    """Those for which the order comes too late, and why; see `OrderRunner.overtaken`."""
+    """Vehicles for which the order comes too late, and why; see `OrderRunner.overtaken`."""
     late = {actor: actor.runner.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
 

@@ -43,7 +43,7 @@ _DATA_STREAM = struct.Struct("<H2xB")
 
 @dataclass(slots=True)
 class _Task:
-    """One stream of one vehicle that is being restored."""
+    """The restoring of one stream of one vehicle."""
 
     leftover: Leftover
     attempts: int = 0

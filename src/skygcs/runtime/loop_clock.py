@@ -85,7 +85,7 @@ class DeadlineTimer:
 
     @property
     def due(self) -> float | None:
-        """When it rings next; None: not set."""
+        """Time at which the timer is due; None: it is not set."""
         return self._due
 
     def set(self, due: float | None) -> None:

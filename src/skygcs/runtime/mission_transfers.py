@@ -87,8 +87,8 @@ STATE_TEXTS = {NO_MISSION: "it has no mission", **{state: f"its mission is {STAT
 
 
 class Missions:
-    """One per vehicle. ``on_progress(what, percent)`` gets the progress of transfers; the mission's is
-    reported as events."""
+    """The mission, fence and rally points of one vehicle. ``on_progress(what, percent)`` gets the progress of
+    transfers; the mission's is reported as events."""
 
     def __init__(
         self,

@@ -174,7 +174,7 @@ class MissionTurns:
                     continue
 
     def _taken(self, actor: VehicleActor, now: float) -> str | None:
-        """That one that waits was ordered something else, or is its pilot's now; None: neither."""
+        """Why a vehicle that waits for its turn loses it: another order, or its pilot; None: it keeps it."""
         key = actor.vehicle.key
         if actor.runner.ledger.effective > self._numbers[key]:
             return f"{actor.name} was ordered something else"

@@ -324,7 +324,7 @@ class OffboardEngagement:
         return Outcome(True, "accepted", "followed")
 
     async def prepare(self, loaded: LoadedTrajectory) -> str | None:
-        """Nothing is to be sent anywhere before a start; see `FlightElsewhere.prepare`."""
+        """Do nothing: only a flight elsewhere has to be prepared; see `FlightElsewhere.prepare`."""
         return None
 
     @property
@@ -402,7 +402,7 @@ class OffboardEngagement:
             self.controller.refusing = text
 
     def origin_changed(self) -> None:
-        """Nothing flies by the old one: the lock of an engagement keeps it."""
+        """Do nothing: nothing flies by the old origin, as the lock of an engagement keeps the origin while it flies."""
 
     def link_changed(self) -> None:
         """Setpoints go over another link from now on: its delay and its rate are other ones, and the position is

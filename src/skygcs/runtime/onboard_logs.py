@@ -62,7 +62,7 @@ class StoredLog:
 
 @dataclass(frozen=True, slots=True)
 class LogsOutcome:
-    """How a list or a download ended. ``logs``: what the vehicle listed; ``files``: what is on disk now."""
+    """The outcome of a list or a download. ``logs``: what the vehicle listed; ``files``: what is on disk now."""
 
     ok: bool
     result: str
@@ -265,7 +265,7 @@ class VehicleLogs:
         return outcome, StoredLog(info.id, file.path, machine.size, begin), machine.sent
 
     def _close(self, file: _File) -> asyncio.Future[None]:
-        """In a thread: it waits for a write in progress."""
+        """Close the file, in a thread, as that waits for a write in progress."""
         return self._loop.run_in_executor(self._disk, file.close)
 
     async def _write(self, file: _File, machine: OnboardLogDownload) -> str | None:
@@ -403,7 +403,7 @@ class _File:
                 os.close(fd)
 
     def finish(self) -> None:
-        """It is whole: it gets its name, and the time of the log's beginning."""
+        """Give a complete file its name, and the time of the log's beginning."""
         self._part.replace(self.path)
         if self.info.time_unix_s:
             os.utime(self.path, (time.time(), self.info.time_unix_s))

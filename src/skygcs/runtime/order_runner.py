@@ -368,7 +368,7 @@ class OrderRunner:
             self._end(run)
 
     async def settled(self) -> None:
-        """After `wind_down`: wait until what was ended is undone."""
+        """Wait, after `wind_down`, until the plans that it ended are undone."""
         if undoing := {task for task, run in self._undoable.items() if run.ended()}:
             await asyncio.wait(undoing)
 
@@ -667,7 +667,7 @@ class OrderRunner:
         return await self._step(undo, _PlanInProgress(run.plan, run.number, clearance, self.hands()))
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        """The attempts of `retry`."""
+        """Attempt an order until `retry` is over."""
         started, were_in = self._loop.time(), self.hands()
         attempts = 0
         while True:
@@ -678,7 +678,8 @@ class OrderRunner:
             # a reason that the operator has to remove
             todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
             if todo is not None:
-                return replace(outcome, message=f"{outcome.message}; {todo}")
+                said = todo in outcome.message  # by the step
+                return outcome if said else replace(outcome, message=f"{outcome.message}; {todo}")
             # the last attempt: accepted, refused for good, superseded, or out of time
             superseded = self.ledger.number > before + (order in MOVING)
             over = superseded or tried_at + RETRY_S > started + wait_s

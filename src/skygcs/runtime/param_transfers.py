@@ -528,7 +528,7 @@ class VehicleParams:
         return self._loaded_file(outcome, self._loop.time() - started)
 
     async def _download(self, path: str, max_bytes: int, *, burst: bool, bytes_per_s: float | None) -> FileOutcome:
-        """One file after another: a PX4 has one session."""
+        """Download files one after another: a PX4 has one session."""
         async with self._downloading:
             self._file_session = (self._file_session + 16) & 0xFF  # a download may need several attempts
             protocol = FileDownload(
@@ -653,7 +653,7 @@ class VehicleParams:
             self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, text, {}))
 
     def _progress(self, action: str, progress: ListProgress, text: str) -> None:
-        """At most one event a second."""
+        """Report the progress, in at most one event a second."""
         now = self._loop.time()
         if now - self._reported_at >= PROGRESS_EVERY_S:
             self._reported_at = now

@@ -358,6 +358,6 @@ def _answer(outcome: ParamOutcome) -> Answer:
 
 
 def _agreed(fixes: tuple[Fix, ...], confirmed: Confirmed) -> tuple[Fix, ...]:
-    """In the order in which a vehicle shows them: switches of features first."""
+    """The parameters in the order in which a vehicle shows them: switches of features first."""
     agreed = [f for f in fixes if confirmed is None or confirmed.get(f.name) == f.value]
     return tuple(sorted(agreed, key=lambda f: not (turns_on(f.name) and f.value)))

@@ -110,7 +110,7 @@ class Step(Enum):
 
 @dataclass(slots=True, eq=False)
 class Waiting:
-    """One of several that return. ``serial``: of the order to return."""
+    """A vehicle that is one of several that return. ``serial``: of the order to return."""
 
     actor: VehicleActor
     serial: int
@@ -331,7 +331,7 @@ class Returns:
         return await self._return_now(waits)
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
-        """It goes home by itself since it was decided that it waits."""
+        """Drop a vehicle that was to wait but goes home by itself; returns its outcome."""
         self._drop(waits, f"it does not wait: {why}")
         return Outcome(False, "cancelled", f"it is not held to wait for its return: {why}")
 
@@ -449,7 +449,7 @@ class Returns:
             self._report(waits.actor, why)
 
     def _gone(self, waits: Waiting) -> None:
-        """It is on its way home."""
+        """Note that a vehicle is on its way home."""
         self._drop(waits, None)
         self._left_at[waits.actor.vehicle.key] = self._loop.time()
 

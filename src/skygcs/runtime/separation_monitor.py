@@ -122,7 +122,7 @@ class SeparationMonitor:
             await asyncio.sleep(min(max(PERIOD_S, self.took_s / SHARE), LONGEST_PERIOD_S))
 
     async def evaluate(self) -> None:
-        """One evaluation. Others get their turn every `TURN_S` of it."""
+        """Evaluate once. Others get their turn every `TURN_S` of it."""
         self.took_s, self.longest_turn_s = await _in_turns(self._work())
 
     def _work(self) -> Iterator[None]:
@@ -510,7 +510,7 @@ def _places(loaded: LoadedTrajectory, clock: TrajectoryClock, now: float) -> Cal
 
 
 def _places_in(frame: EnuFrame, local: EnuFrame, flight: TrajectoryFlight, now: float) -> Callable[[float], Vector]:
-    """The same of one that flies already, whose trajectory stands on earth."""
+    """The places of a vehicle that flies its trajectory already, which stands on earth."""
     return lambda after_s: frame.from_geodetic(*local.to_geodetic(*flight.foreseen(now + after_s)))
 
 

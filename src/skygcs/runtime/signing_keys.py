@@ -271,7 +271,7 @@ class Signing:
         self._links.pop(name, None)
 
     def attach(self, channel: Channel) -> None:
-        """From now on the channel of a link with a key checks and signs."""
+        """Let the channel of a link with a key check and sign from now on."""
         if channel.config.signing is not None:
             channel.signing = _ChannelSigning(self._links[channel.link.name], self._refused)
 

@@ -87,7 +87,7 @@ class StreamRequester:
 
     @property
     def controller(self) -> RateController:
-        """That of the chosen link."""
+        """The rate controller of the chosen link."""
         return self._own if self._chosen is None else self._radios[self._chosen]
 
     @property
@@ -114,7 +114,7 @@ class StreamRequester:
         return tuple(self._radios)
 
     def forget_radio(self, channel_id: int) -> None:
-        """It has left the plan of this radio, or the channel is closed."""
+        """Forget the plan of a radio that the vehicle has left, or whose channel is closed."""
         self._radios.pop(channel_id, None)
         self._counted_apart.discard(channel_id)
         if self._chosen == channel_id:
@@ -242,7 +242,7 @@ class StreamRequester:
         }
 
     def add_to(self, state: dict[str, Any]) -> None:
-        """With a radio's plan, add the planned rate of each message to a vehicle's state."""
+        """Add the planned rate of each message to a vehicle's state, if a radio has a plan for it."""
         if self.planned:
             for name, message in state["messages"].items():
                 message["planned_hz"] = self.controller.rates_hz.get(name, 0.0)

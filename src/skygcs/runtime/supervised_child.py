@@ -110,8 +110,8 @@ class SupervisedChild:
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
     def _start(self, wanted: object) -> subprocess.Popen[bytes]:
-        """In a thread. A process that is there only after its `run` or after `close` is ended at once. Raises
-        OSError."""
+        """Start the process, in a thread. A process that is there only after its `run` or after `close` is ended at
+        once. Raises OSError."""
         # in a session of its own: Ctrl-C ends the daemon, and a hang-up has it read its file, but neither ends this
         process = subprocess.Popen(self._line, stdin=subprocess.PIPE, start_new_session=True)
         with self._start_lock:
@@ -150,7 +150,7 @@ class SupervisedChild:
                 self._ending.remove(process)
 
     def _wait(self, process: subprocess.Popen[bytes]) -> None:
-        """In a thread."""
+        """Wait for the process, in a thread."""
         try:
             process.wait(END_S)
         except subprocess.TimeoutExpired:

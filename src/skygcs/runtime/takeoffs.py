@@ -96,7 +96,8 @@ class Takeoffs:
         return self._switched({mode})
 
     def _switched(self, expected: Collection[str]) -> str | None:
-        """That the vehicle was switched to another mode than a take-off leaves it in, or one of these."""
+        """Why a take-off is over: the vehicle was switched to another mode than a take-off leaves it in, or one of
+        these."""
         mode = self._vehicle.mode
         return None if mode in LEAVES or mode in expected else f"it was switched to {mode} during its take-off"
 

@@ -69,7 +69,7 @@ class TraceFile:
         self._file.flush()
 
     def close(self) -> None:
-        """Nothing is written after this. Raises OSError."""
+        """Close the file; nothing is written afterwards. Raises OSError."""
         self._closed = True
         if self._file is not None:
             self._file.close()

@@ -53,7 +53,8 @@ class UndoableChange:
 
 
 class UndoJournal:
-    """One per daemon. `left` lists entries of an earlier run, and those that this run could not undo.
+    """The journal of a daemon's changes to undo. `left` lists entries of an earlier run, and those that this run could
+    not undo.
 
     Its methods wait for the disk: `DiskWriter.run` calls them, one after another. ``number_left`` does not.
     """
@@ -115,7 +116,7 @@ class UndoJournal:
         self.left()
 
     def left_over(self, change: UndoableChange) -> None:
-        """It could not be undone now: keep the entry."""
+        """Keep an entry that could not be undone now."""
         self._in_progress.discard(change.id)
         self.left()
 
@@ -160,7 +161,7 @@ class UndoJournal:
         return self._folder / f"{id}.json"
 
     def _write(self, change: UndoableChange) -> None:
-        """It is on the disk when this returns."""
+        """Write the entry; it is on the disk when this returns."""
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         content = json.dumps({"format": FORMAT, **change.as_dict()}, indent=1)
         write_whole(self._path(change.id), content.encode(), 0o600)

@@ -43,7 +43,7 @@ class UndoOrders:
         self._reading: asyncio.Future[list[UndoableChange]] | None = None
 
     def report(self) -> None:
-        """One event for each change that was left, and one for files that cannot be read."""
+        """Report each change that was left, and files that cannot be read, as one event each."""
         for change in self._journal.left():
             text = f"{change}; skygcs-cli undo run {change.id} restores it, undo drop removes the entry"
             self._publish(change, text, {"id": change.id, "state": "left"})

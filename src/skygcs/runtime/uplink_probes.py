@@ -30,7 +30,7 @@ class UplinkProbes:
         self._enabled = services.probes and "TIMESYNC" in services.dialect.by_name
 
     def state(self, now: float) -> dict[str, Any] | None:
-        """Its part of a vehicle's state (`VehicleState.uplink`); None: nothing is known."""
+        """The uplink's part of a vehicle's state (`VehicleState.uplink`); None: nothing is known."""
         watch = self._watch
         if not self._enabled or watch.answered_at is None:
             return None

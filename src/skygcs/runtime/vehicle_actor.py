@@ -223,7 +223,7 @@ class VehicleActor:
         return OrderRunner(self.vehicle, self.commands, dialect, loop, self.outcomes, self._order_refusal, began_ms)
 
     def _new_offboard(self, services: VehicleServices) -> OffboardEngagement | FlightElsewhere:
-        """Its flight by setpoints: from here, or from where an extension relays its orders."""
+        """Make its flight by setpoints: by this daemon, or by what an extension relays its orders to."""
         at = self.config.control.at or GROUND
         if at != GROUND and not self.vehicle.replayed:
             flight = services.flights_elsewhere[at](self.vehicle, self.config, services)
@@ -341,7 +341,7 @@ class VehicleActor:
         self.offboard.origin_changed()
 
     def link_changed(self, channel_id: int, now: float) -> None:
-        """Its state comes over another channel from now on, which also gets its orders and setpoints."""
+        """Note that its state, orders and setpoints take another channel from now on."""
         self.streams.link_changed(channel_id, now)
         self.offboard.link_changed()
         self.uplink.moved()
@@ -355,7 +355,7 @@ class VehicleActor:
         self._stop_transfers("refused", text)
 
     def restarted(self, text: str, now: float) -> None:
-        """It has restarted, or another vehicle has replaced it: drop its state."""
+        """Drop its state: it has restarted, or another vehicle has replaced it."""
         self._publish(self.vehicle.restart(now, text), now)
 
     async def wind_down(self) -> None:
@@ -498,7 +498,7 @@ class VehicleActor:
         return await self.outcomes.track("calibrate", self.calibration.run(Sensor(sensor)))
 
     async def confirm_pose(self) -> Outcome:
-        """It lies as its calibration asked for."""
+        """Confirm that it lies as its calibration asked for."""
         return await self.outcomes.track("calibrate confirm", self.calibration.confirm())
 
     async def cancel_calibration(self) -> Outcome:

@@ -104,52 +104,6 @@ class VehicleLinks(Protocol):
         ...
 
 
-class WideLinks:
-    """Links without limits and without known properties."""
-
-    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> float:
-        return math.inf
-
-    def stream_refusal(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> str | None:
-        return None
-
-    def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:
-        return {}
-
-    def why_silent(self, vehicle: Vehicle) -> str:
-        return ""
-
-    def may_broadcast(self) -> bool:
-        return True
-
-    def radio_to(self, vehicle: Vehicle) -> str | None:
-        return None
-
-    def is_replayed(self, key: int) -> bool:
-        return False
-
-    def channels_to(self, vehicle: Vehicle) -> tuple[int, ...]:
-        return ()
-
-    def holds(self, vehicle: Vehicle, priority: Priority, key: Hashable) -> bool:
-        return False
-
-    def links_to(self, vehicle: Vehicle) -> frozenset[str]:
-        return frozenset()
-
-    def uplink_lost(self, key: int) -> None:
-        pass
-
-    def counts_on(self, key: int, channel_id: int) -> Mapping[int, int] | None:
-        return None
-
-    def forget_flows(self) -> None:
-        pass
-
-    def authority_refusal(self, sysid: int) -> str | None:
-        return None
-
-
 class SetpointProgram(Protocol):
     """A program inside the daemon that flies several vehicles by setpoints and keeps them apart."""
 

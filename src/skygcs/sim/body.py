@@ -30,31 +30,6 @@ def wrap_pi(angle_rad: float) -> float:
     return remainder(angle_rad, 2 * pi)
 
 
-def quaternion_of(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """(w, x, y, z) of the rotation yaw, then pitch, then roll: FRD body vectors into NED ones."""
-    cr, sr = cos(roll_rad / 2), sin(roll_rad / 2)
-    cp, sp = cos(pitch_rad / 2), sin(pitch_rad / 2)
-    cy, sy = cos(yaw_rad / 2), sin(yaw_rad / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """First ``a``, then ``b`` about the axes that ``a`` has turned."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
 def turned_by(rates_frd_radps: Vector, seconds: float) -> Quaternion:
     """The rotation that these body rates make in so long."""
     p, q, r = rates_frd_radps

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import asin, atan2, copysign, cos, exp, hypot, inf, radians, sin, sqrt
 
+from skygcs.core.geo import quaternion_from_euler, quaternion_product
 from skygcs.sim.body import (
     GRAVITY_MPS2,
     AccelerationSetpoint,
@@ -20,8 +21,6 @@ from skygcs.sim.body import (
     Body,
     Quaternion,
     Vector,
-    quaternion_of,
-    quaternion_product,
     turned_by,
 )
 from skygcs.sim.kinematics import Limits, Setpoint
@@ -178,7 +177,7 @@ class Quad(Body):
         self.up_m = 0.0
         self.touch()
         self.yaw_rate_radps = 0.0
-        self.attitude_ned_frd = quaternion_of(self.roll_rad, self.pitch_rad, self.yaw_rad)
+        self.attitude_ned_frd = quaternion_from_euler(self.roll_rad, self.pitch_rad, self.yaw_rad)
 
     def _move(self, h: float, push_mps2: float, wind: Vector) -> None:
         w, x, y, z = self.attitude_ned_frd

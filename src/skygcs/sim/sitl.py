@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from skygcs.core.geo import Origin, geodetic_from_enu
+from skygcs.core.geo import Origin, geodetic_from_enu, is_no_place
 
 Autopilot = Literal["px4", "ardupilot"]
 
@@ -285,7 +285,7 @@ class Readiness:
         if name == "HEARTBEAT":
             self._seen["heartbeat"] = MAV_AUTOPILOT.get(int(fields["autopilot"])) == self._autopilot
         elif name == "GLOBAL_POSITION_INT":
-            self._seen["position"] = bool(fields["lat"] or fields["lon"])
+            self._seen["position"] = not is_no_place(fields["lat"], fields["lon"])
         elif name in ("ESTIMATOR_STATUS", "EKF_STATUS_REPORT"):
             flags = int(fields["flags"])
             assumed = name == "EKF_STATUS_REPORT" and flags & EKF_CONST_POSITION

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from math import atan2, cos, hypot, inf, radians, sin, tan
 
+from skygcs.core.geo import quaternion_from_euler, quaternion_product
 from skygcs.sim.body import (
     GRAVITY_MPS2,
     AccelerationSetpoint,
     AttitudeSetpoint,
     Body,
     Quaternion,
-    quaternion_of,
-    quaternion_product,
     turned_by,
 )
 from skygcs.sim.kinematics import Limits, Motion, Setpoint
@@ -93,7 +92,7 @@ class Steering:
         """Attitude (NED/FRD) and thrust for the next ``dt_s``."""
         if isinstance(setpoint, AccelerationSetpoint):
             return self._accelerate(body, dt_s, setpoint)
-        level = quaternion_of(0.0, 0.0, body.yaw_rad)
+        level = quaternion_from_euler(0.0, 0.0, body.yaw_rad)
         if isinstance(setpoint, AttitudeSetpoint):
             attitude = self._attitude(setpoint, dt_s) or level
             if setpoint.thrust is None:
@@ -133,7 +132,7 @@ class Steering:
         east, north, up = setpoint.acc_enu_mps2
         if body.on_ground and up <= 0.0:
             self.restart()
-            return quaternion_of(0.0, 0.0, body.yaw_rad), IDLE_THRUST
+            return quaternion_from_euler(0.0, 0.0, body.yaw_rad), IDLE_THRUST
         lead_rad = setpoint.yaw_rate_radps * max(self._attitude_lag_s, dt_s)
         yaw = (body.yaw_rad if setpoint.yaw_rad is None else setpoint.yaw_rad) + lead_rad
         attitude, _ = self._lean(east, north, GRAVITY_MPS2, yaw)
@@ -211,7 +210,7 @@ class Steering:
         pitch = atan2(-ahead, lift_mps2)
         roll = atan2(right, hypot(ahead, lift_mps2))
         push = hypot(ahead, right, lift_mps2)
-        return quaternion_of(roll, pitch, yaw_rad), _bounded(self._hover_thrust * push / GRAVITY_MPS2)
+        return quaternion_from_euler(roll, pitch, yaw_rad), _bounded(self._hover_thrust * push / GRAVITY_MPS2)
 
 
 def _bounded(thrust: float) -> float:

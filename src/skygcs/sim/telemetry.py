@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping
 from math import atan2, cos, degrees, nan, sin
 from typing import Any
 
+from skygcs.core.geo import quaternion_from_euler
 from skygcs.sim import protocol as m
-from skygcs.sim.body import GRAVITY_MPS2, Body, Vector, quaternion_of
+from skygcs.sim.body import GRAVITY_MPS2, Body, Vector
 from skygcs.sim.quad import Quad
 from skygcs.sim.vehicle_state import VehicleState
 
@@ -182,7 +183,7 @@ def attitude_quaternion(v: VehicleState, now: float) -> Fields:
     motion = v.reported
     if v.faults.nan_attitude:
         return {"time_boot_ms": v.boot_ms, "q1": nan, "q2": nan, "q3": nan, "q4": nan}
-    w, x, y, z = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
+    w, x, y, z = quaternion_from_euler(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
     return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
 
 
@@ -341,7 +342,7 @@ def odometry(v: VehicleState, now: float) -> Fields | None:
     if local is None:
         return None
     motion = v.reported
-    q = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
+    q = quaternion_from_euler(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
     vx, vy, vz = _to_body(q, (local["vx"], local["vy"], local["vz"]))
     unknown = [nan] + [0.0] * 20
     return {

@@ -64,11 +64,11 @@ class LogEntry:
 
     ``frame`` is None for a wrong CRC only, and its ``info`` for an unknown id. ``unix_us`` is the time as written, None
     in a raw capture. ``at_s`` counts from the beginning and never decreases; in a raw capture it follows the senders'
-    clocks. ``offset`` is the record's first byte in the file, in a raw capture that of its 4 kB. ``misdated``: the
-    neighbours' times show that ``unix_us`` is wrong.
+    clocks. ``offset`` is the record's first byte in the file, in a raw capture that of its 4 kB. ``dated_us`` is
+    ``unix_us``, or the time of the record before where the neighbours' times show that ``unix_us`` is wrong.
     """
 
-    __slots__ = ("at_s", "frame", "misdated", "offset", "raw", "unix_us", "verdict")
+    __slots__ = ("at_s", "dated_us", "frame", "offset", "raw", "unix_us", "verdict")
 
     def __init__(
         self, raw: bytes, frame: Frame | None, verdict: FrameVerdict, unix_us: int | None, at_s: float, offset: int
@@ -79,17 +79,15 @@ class LogEntry:
         self.unix_us = unix_us
         self.at_s = at_s
         self.offset = offset
-        self.misdated = False
+        self.dated_us = unix_us
 
     def __repr__(self) -> str:
         return f"<LogEntry at {self.offset} {self.verdict} {self.frame or len(self.raw)}>"
 
     def unix_ns(self) -> int | None:
-        """Its time for files of other programs, in nanoseconds; None for one that these cannot hold, such as a record
-        with a wrong time. `LogReader.faults` counts what such a time does to the order."""
-        if self.misdated:
-            return None
-        unix_ns = 1000 * self.unix_us if self.unix_us is not None else round(self.at_s * 1e9)
+        """Its time for files of other programs, in nanoseconds; None for one that these cannot hold.
+        `LogReader.faults` counts what a wrong time does to the order."""
+        unix_ns = 1000 * self.dated_us if self.dated_us is not None else round(self.at_s * 1e9)
         return unix_ns if 0 <= unix_ns < LATEST_UNIX_S * 10**9 else None
 
 

@@ -197,8 +197,8 @@ class LogReader:
 
 def _timed(entry: LogEntry, timeline: Timeline, following_us: int | None) -> LogEntry:
     assert entry.unix_us is not None
-    entry.misdated = timeline.is_misdated(entry.unix_us, following_us)
-    entry.at_s = timeline.now_s if entry.misdated else timeline.at_s(entry.unix_us)
+    entry.dated_us = timeline.dated_us(entry.unix_us, following_us)
+    entry.at_s = timeline.at_s(entry.dated_us)
     return entry
 
 

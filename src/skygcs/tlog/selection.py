@@ -55,11 +55,11 @@ class Selection:
         """False for entries without a time of day if one is set."""
         begin, end = self.begin, self.end
         if begin is not None:
-            time = entry.unix_us if isinstance(begin, int) else entry.at_s
+            time = entry.dated_us if isinstance(begin, int) else entry.at_s
             if time is None or time < begin:
                 return False
         if end is not None:
-            time = entry.unix_us if isinstance(end, int) else entry.at_s
+            time = entry.dated_us if isinstance(end, int) else entry.at_s
             if time is None or time > end:
                 return False
         return True

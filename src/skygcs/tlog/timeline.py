@@ -37,17 +37,15 @@ class Timeline:
         self.set_back = 0
         """How often the clock was set back."""
 
-    def is_misdated(self, unix_us: int, following_us: int | None) -> bool:
-        """True if a record's time is wrong: it is far from those of the records before and after it, which are near
-        each other. A damaged byte does that, and two programs that write one file; a clock that is set does not."""
-        if self._last_us is None or following_us is None or abs(following_us - self._last_us) > REORDERED_S * 1e6:
-            return False
-        return min(abs(unix_us - self._last_us), abs(unix_us - following_us)) > REORDERED_S * 1e6
-
-    @property
-    def now_s(self) -> float:
-        """The time reached."""
-        return self._newest_us / 1e6
+    def dated_us(self, unix_us: int, following_us: int | None) -> int:
+        """Return the time of the next record: that of the record before it if its own is far from both those of the
+        records before and after it, which are near each other. A damaged byte does that, and two programs with
+        different clocks that write one file; a clock that is set does not."""
+        last_us = self._last_us
+        if last_us is None or following_us is None or abs(following_us - last_us) > REORDERED_S * 1e6:
+            return unix_us
+        wrong = min(abs(unix_us - last_us), abs(unix_us - following_us)) > REORDERED_S * 1e6
+        return last_us if wrong else unix_us
 
     def at_s(self, unix_us: int) -> float:
         """The time of the next record; never less than before."""
@@ -59,7 +57,7 @@ class Timeline:
             self.set_back += 1
             self._elapsed_us = self._newest_us
         self._newest_us = max(self._newest_us, self._elapsed_us)
-        return self.now_s
+        return self._newest_us / 1e6
 
 
 class Pace:

@@ -20,6 +20,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.runtime.fleet import Fleet
+from support.services import KnownLinks
 from support.vehicles import flight_dialect
 from support.watched_fleet import WatchedVehicle
 
@@ -57,7 +58,7 @@ def lateness_rows() -> Iterator[dict[str, Any]]:
 async def _measure(count: int, layout: str) -> dict[str, Any]:
     loop = asyncio.get_running_loop()
     config = FleetConfig.model_validate({"monitor": {"mode": "advisory"}})
-    fleet = Fleet(config, flight_dialect(), lambda *_, **__: True, loop, lambda event: None)
+    fleet = Fleet(config, flight_dialect(), lambda *_, **__: True, loop, lambda event: None, links=KnownLinks())
     vehicles = [_Heard(i + 1, fleet) for i in range(count)]
     feeding = asyncio.create_task(_feed(vehicles, layout), name="frames")
     await asyncio.sleep(2.0)

@@ -225,6 +225,10 @@ sysid = 1
             "ardupilot_plane or rover",
         ),
         (
+            "[links.s]\ntype='simulated'\npx4=1\nlat_deg=0.005\nlon_deg=-0.005",
+            "links.s (line 1): lat_deg and lon_deg: so near to 0, 0 a vehicle's position counts as not known",
+        ),
+        (
             "[links.s]\ntype='simulated'\nrover=3\nardupilot_plane=3\nfirst_sysid=251",
             "links.s.first_sysid (line 5): 6 vehicles from 251 on need system ids above 255",
         ),

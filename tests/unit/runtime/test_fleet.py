@@ -348,6 +348,20 @@ async def test_a_lost_vehicle_gives_its_place_to_one_that_is_heard() -> None:
     assert [e.vehicle for e in listening.events if e.data.get("forgotten")] == ["v2", "v3"]
 
 
+async def test_made_up_ids_keep_no_vehicle_out_that_goes_on_sending() -> None:
+    listening, made_up = Listening(), ((s, c) for c in range(2, 200) for s in range(1, 251))
+    for _ in range(MAX_VEHICLES_OF_LINK):
+        listening.hear(Voice(*next(made_up)).beat())
+    for second in range(60, 64):
+        listening.fleet.tick(float(second))
+        for k in range(200):
+            if second >= 62 and k == 75:
+                listening.hear(Voice(77).beat(), second + 0.372)
+            listening.hear(Voice(*next(made_up)).beat(), second + k / 200)
+    assert listening.fleet.vehicles[77 << 8 | 1].vehicle.connected
+    assert len([e for e in listening.events if e.data.get("forgotten")]) <= 5, "one a second, and this one"
+
+
 async def test_a_vehicle_that_fades_for_a_moment_is_not_the_first_to_go() -> None:
     listening = Listening()
     for compid in (1, 2):

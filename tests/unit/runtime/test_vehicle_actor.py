@@ -134,6 +134,8 @@ async def test_a_refused_arming_names_the_mode_that_a_px4_keeps_to_itself(ground
     await asyncio.sleep(2)
     said = "health failures; in OFFBOARD it arms only while setpoints come; set another mode first"
     assert said in (await actor.arm()).message
+    vehicle.script = refusing(ARM, 1, "Arming denied! Switch to manual mode first")
+    assert (await actor.arm()).message.count("set another mode first") == 1
 
 
 def estimates(vehicle: ScriptedVehicle, for_s: int, after_s: float = 0.0) -> None:

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.geo import quaternion_from_euler
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.attitude_targets import copter_attitude, px4_attitude
-from skygcs.sim.body import AttitudeSetpoint, quaternion_of
+from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter, int_param, px4, px4_mode
 from support.table import each
@@ -25,7 +26,7 @@ Message = mav.MAVLink_set_attitude_target_message
 def target(
     thrust: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, mask: int = ATTITUDE_AND_THRUST
 ) -> Message:
-    return raw_target(list(quaternion_of(roll, pitch, yaw)), thrust, mask)
+    return raw_target(list(quaternion_from_euler(roll, pitch, yaw)), thrust, mask)
 
 
 def raw_target(q: list[float], thrust: float, mask: int = ATTITUDE_AND_THRUST) -> Message:
@@ -206,7 +207,7 @@ def test_an_attitude_with_its_yaw_rate_is_followed_without_lag(start: Callable[[
     behind = {}
     for rate in (0.0, 0.5):
         for i in range(60):
-            q = list(quaternion_of(0.0, 0.0, 0.025 * i))
+            q = list(quaternion_from_euler(0.0, 0.0, 0.025 * i))
             pilot.send(mav.MAVLink_set_attitude_target_message(0, 1, 1, 0, q, 0.0, 0.0, rate, thrust))
             pilot.run(0.05, 0.05)
         behind[rate] = (0.025 * 60 - pilot.vehicles[0].motion.yaw_rad + pi) % (2 * pi) - pi
@@ -398,7 +399,12 @@ def test_an_attitude_with_a_climb_lifts_it_off_the_ground() -> None:
 @each(("boost", "thrust"), [(True, 0.6), (False, 0.3)])
 def test_a_copter_divides_thrust_by_the_cosine_of_the_tilt_unless_told_not_to(boost: bool, thrust: float) -> None:
     rates = {"body_roll_rate": 0.0, "body_pitch_rate": 0.0, "body_yaw_rate": 0.0}
-    fields = {"q": list(quaternion_of(radians(60), 0.0, 0.0)), "thrust": 0.3, "type_mask": ATTITUDE_AND_THRUST, **rates}
+    fields = {
+        "q": list(quaternion_from_euler(radians(60), 0.0, 0.0)),
+        "thrust": 0.3,
+        "type_mask": ATTITUDE_AND_THRUST,
+        **rates,
+    }
     taken = copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5, angle_boost=boost)
     assert isinstance(taken, AttitudeSetpoint)
     assert taken.thrust == pytest.approx(thrust)

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from skygcs.core.control import Estimate, Memory, Output, Reference, step
 from skygcs.core.control.cascade import attitude_from_thrust, ned_frd_from_enu_flu
 from skygcs.core.control.gains import AxisGains, ControlConfig
+from skygcs.core.geo import quaternion_from_euler
 from skygcs.sim import quad as quad_module
-from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, quaternion_of, wrap_pi
+from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, wrap_pi
 from skygcs.sim.kinematics import Limits
 from skygcs.sim.quad import F450, IDEAL, Airframe, Quad, level
 from skygcs.sim.wind import Wind
@@ -36,7 +37,7 @@ def fly(quad: Quad, seconds: float, roll: float = 0.0, pitch: float = 0.0, yaw: 
     """Hold this attitude, with the thrust that keeps the height."""
     thrust = HOVER / (cos(roll) * cos(pitch))
     for _ in range(round(seconds / DT)):
-        quad.fly(DT, quaternion_of(roll, pitch, yaw), thrust)
+        quad.fly(DT, quaternion_from_euler(roll, pitch, yaw), thrust)
 
 
 def flown(
@@ -189,21 +190,21 @@ def test_the_attitude_follows_within_its_lag_and_not_faster_than_it_can_turn() -
     fly(quad, 0.16, roll=0.1)
     assert quad.roll_rad == pytest.approx(0.1 * (1 - 2.71828 ** (-0.16 / 0.15)), rel=0.01)
     quad = in_air(F450)
-    quad.fly(0.02, quaternion_of(1.3, 0.0, 0.0), HOVER)
+    quad.fly(0.02, quaternion_from_euler(1.3, 0.0, 0.0), HOVER)
     assert quad.roll_rate_radps == pytest.approx(F450.tilt_rate_max_radps)
     quad = in_air(IDEAL)
-    quad.fly(0.02, quaternion_of(0.4, -0.3, 0.0), HOVER)
+    quad.fly(0.02, quaternion_from_euler(0.4, -0.3, 0.0), HOVER)
     assert (quad.roll_rad, quad.pitch_rad) == pytest.approx((0.4, -0.3)), "without lag it is there at once"
 
 
 def test_the_tilt_comes_first_and_the_yaw_when_it_can() -> None:
     quad = in_air(replace(IDEAL, yaw_rate_max_radps=1.0))
     for _ in range(50):
-        quad.fly(DT, quaternion_of(0.2, -0.1, 3.0), HOVER)
+        quad.fly(DT, quaternion_from_euler(0.2, -0.1, 3.0), HOVER)
     assert 0.9 < quad.yaw_rad < 1.1, "one radian in a second"
     # the up axis is where the setpoint has it all the time: a_east / a_up as the setpoint's
     w, x, y, z = quad.attitude_ned_frd
-    sw, sx, sy, sz = quaternion_of(0.2, -0.1, 3.0)
+    sw, sx, sy, sz = quaternion_from_euler(0.2, -0.1, 3.0)
     assert 2 * (x * z + w * y) == pytest.approx(2 * (sx * sz + sw * sy), abs=1e-9)
     assert 2 * (y * z - w * x) == pytest.approx(2 * (sy * sz - sw * sx), abs=1e-9)
 
@@ -228,7 +229,7 @@ def test_without_motors_it_falls_to_a_terminal_speed_and_crashes_where_it_hits()
     assert quad.on_ground and quad.up_m == 0.0 and quad.groundspeed_mps == 0.0
     where = quad.pos_enu_m
     for _ in range(500):
-        quad.fly(DT, quaternion_of(0.3, 0.2, 1.0), 0.9 * HOVER)
+        quad.fly(DT, quaternion_from_euler(0.3, 0.2, 1.0), 0.9 * HOVER)
     assert quad.pos_enu_m == where, "it neither slides nor sinks, whatever it leans"
     assert quad.crashed and quad.lean_deg == pytest.approx(90.0)
     quad.step(0.5, AttitudeSetpoint(level(quad.yaw_rad), 0.9), LIMITS)
@@ -266,7 +267,7 @@ def test_no_sequence_of_attitudes_breaks_it(attitudes: list[tuple[float, float, 
     quad = in_air(replace(F450, attitude_lag_s=lag), wind=Wind((5.0, 0.0, 0.0), 2.0))
     for roll, pitch, yaw, thrust in attitudes:
         for _ in range(10):
-            quad.fly(DT, quaternion_of(roll, pitch, yaw), thrust)
+            quad.fly(DT, quaternion_from_euler(roll, pitch, yaw), thrust)
             assert quad.up_m >= 0.0
             assert hypot(*quad.attitude_ned_frd) == pytest.approx(1.0)
             assert hypot(*quad.vel_enu_mps) < 60.0

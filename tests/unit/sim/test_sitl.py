@@ -117,7 +117,7 @@ def test_ready_is_when_everything_was_said() -> None:
     readiness = Readiness("ardupilot")
     steps = [
         ("HEARTBEAT", heartbeat(3), ["position", "estimator", "arming checks"]),
-        ("GLOBAL_POSITION_INT", {"lat": 0, "lon": 0}, ["position", "estimator", "arming checks"]),
+        ("GLOBAL_POSITION_INT", {"lat": 40, "lon": -7}, ["position", "estimator", "arming checks"]),
         ("GLOBAL_POSITION_INT", {"lat": 437806000, "lon": -794653000}, ["estimator", "arming checks"]),
         ("EKF_STATUS_REPORT", {"flags": 167}, ["estimator", "arming checks"]),
         ("EKF_STATUS_REPORT", {"flags": 831}, ["arming checks"]),

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.tlog.format import LogEntry, encode_record, sniff
 from skygcs.tlog.reading import LogReader
+from skygcs.tlog.selection import Selection
 from skygcs.tlog.timeline import CLOCK_STEP_US
 from support.examples import examples, thinned
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
@@ -169,8 +170,16 @@ def test_a_clock_that_is_set_or_a_damaged_time_is_no_part_of_the_duration(bit: i
     later = log(heartbeat(6), start=T0 + 200_000) + log(heartbeat(7), start=T0 + 300_000 + CLOCK_STEP_US)
     records, _ = read(boot + after + damaged + later)
     assert [round(r.at_s, 3) for r in records] == [0.0, 0.1, 0.1, 0.2, 0.2, 0.3, 0.3]
-    assert [r.misdated for r in records].index(True) == 4
-    assert records[4].unix_ns() is None
+    assert [r.dated_us != r.unix_us for r in records].index(True) == 4
+    assert records[4].unix_ns() == records[3].unix_ns()
+
+
+def test_records_of_a_second_program_with_another_clock_are_dated_by_the_first_one_s() -> None:
+    both = [encode_record(T0 + n * 100_000 - n % 2 * 60_000_000, heartbeat(n)) for n in range(7)]
+    records, _ = read(b"".join(both))
+    assert [round(r.at_s, 3) for r in records] == [0.0, 0.0, 0.2, 0.2, 0.4, 0.4, 0.6]
+    assert [r.unix_ns() for r in records] == [1000 * (T0 + n // 2 * 200_000) for n in range(7)]
+    assert all(map(Selection(begin=T0).takes, records))
 
 
 def test_empty_and_tiny_files_hold_nothing() -> None:

@@ -190,7 +190,7 @@ def sensors(facts: PreflightFacts, wanted: Expectations) -> Finding:
         return passed(f"{len(working)} sensors healthy")
     found = [f"unhealthy: {', '.join(bad)}"] * bool(bad) + [f"missing or disabled: {', '.join(gone)}"] * bool(gone)
     text = "sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS))
-    if [*bad, *gone] == [TERRAIN]:
+    if [*bad, *gone] == [TERRAIN] and TERRAIN not in wanted.sensors_required:
         return failed(text, TERRAIN_TODO, severity=Severity.NOTE)
     todo = (
         "check or calibrate them; sensors_ignored lists those that may be unhealthy"

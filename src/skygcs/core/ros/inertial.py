@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from skygcs.core.geo import quaternion_from_euler
+from skygcs.core.geo import Quaternion, Vector, quaternion_from_euler
 from skygcs.core.mavlink.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4
 from skygcs.core.ros.memory import UNKNOWN_COVARIANCE, Sample, VehicleMemory
-from skygcs.core.ros.rotations import Quaternion, Vector, enu_orientation, flu_from_frd, wxyz, xyz
+from skygcs.core.ros.rotations import enu_orientation, flu_from_frd, wxyz, xyz
 from skygcs.core.ros.stamps import header
 
 ORIENTATION_VARIANCE = 1.0**2

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-from skygcs.core.geo import EnuFrame
-from skygcs.core.ros.rotations import Quaternion, Vector, yaw_of
+from skygcs.core.geo import EnuFrame, Quaternion, Vector
+from skygcs.core.ros.rotations import yaw_of
 from skygcs.core.ros.stamps import VehicleClock
 
 STATUS_NO_FIX, STATUS_FIX = -1, 0

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from skygcs.core.geo import EnuFrame, Origin, quaternion_from_euler
+from skygcs.core.geo import EnuFrame, Origin, conjugate, quaternion_from_euler, rotated
 from skygcs.core.ros.memory import (
     COVARIANCE_APPROXIMATED,
     COVARIANCE_DIAGONAL,
@@ -24,11 +24,9 @@ from skygcs.core.ros.memory import (
     VehicleMemory,
 )
 from skygcs.core.ros.rotations import (
-    conjugate,
     enu_from_ned,
     enu_orientation,
     flu_from_frd,
-    rotated,
     wxyz,
     xyz,
     yaw_of,

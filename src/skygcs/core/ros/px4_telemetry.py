@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from skygcs.core.geo import quaternion_from_euler
+from skygcs.core.geo import Quaternion, is_no_place, quaternion_from_euler
 from skygcs.core.ros.interfaces import Interfaces
 from skygcs.core.ros.memory import Sample, number
-from skygcs.core.ros.rotations import Quaternion, yaw_of
+from skygcs.core.ros.rotations import yaw_of
 from skygcs.core.ros.stamps import EPOCH_US, VehicleClock
 
 Fields = Mapping[str, Any]
@@ -219,7 +219,7 @@ def global_position_int(fields: Fields, arrival_ns: int, memory: Px4Memory) -> I
     geoid_m = math.nan if fix is None else (ellipsoid_mm - fix["alt"]) / 1e3
     bottom_m = _bottom_m(altitude)
     terrain_m = math.nan if altitude is None else altitude["altitude_amsl"] - bottom_m
-    has_place, flags = (fields["lat"], fields["lon"]) != (0, 0), memory.estimator_flags
+    has_place, flags = not is_no_place(fields["lat"], fields["lon"]), memory.estimator_flags
     yield Sample(
         "vehicle_global_position",
         {

@@ -14,8 +14,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+from skygcs.core.geo import Quaternion, Vector
 
 HALF = math.sqrt(0.5)
 """Sine and cosine of 45 degrees: NED to ENU is half a turn about their common diagonal."""
@@ -41,22 +40,6 @@ def yaw_of(q: Sequence[float]) -> float:
     """The yaw of a quaternion, radians."""
     w, x, y, z = q
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
-def rotated(q: Quaternion, v: Vector) -> Vector:
-    """A vector turned by a unit quaternion."""
-    w, x, y, z = q
-    tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
-    return (
-        v[0] + w * tx + y * tz - z * ty,
-        v[1] + w * ty + z * tx - x * tz,
-        v[2] + w * tz + x * ty - y * tx,
-    )
-
-
-def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse of a unit quaternion."""
-    return q[0], -q[1], -q[2], -q[3]
 
 
 def xyz(v: Sequence[float]) -> dict[str, float]:

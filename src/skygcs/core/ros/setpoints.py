@@ -12,9 +12,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from skygcs.core.geo import EAST_DEG, Origin, enu_from_geodetic, world_from_enu, wrap_deg_180
+from skygcs.core.geo import (
+    EAST_DEG,
+    Origin,
+    Quaternion,
+    Vector,
+    enu_from_geodetic,
+    rotated,
+    world_from_enu,
+    wrap_deg_180,
+)
 from skygcs.core.ros.fleet_origin import FleetOrigin
-from skygcs.core.ros.rotations import Quaternion, Vector, quaternion_of, rotated, vector_of, yaw_of
+from skygcs.core.ros.rotations import quaternion_of, vector_of, yaw_of
 from skygcs.core.ros.topics import Topic
 
 Fields = Mapping[str, Any]

@@ -1,4 +1,5 @@
-"""Largest speed, acceleration and jerk of a trajectory, exact and not sampled, against the limits of a vehicle.
+"""Largest speed, acceleration and jerk of a trajectory, exact and not sampled, against the limits of a vehicle; and the
+smallest box about it.
 
 The square of the speed is itself a polynomial. Its Bernstein coefficients bound it from above on a whole interval, its
 values at the interval's ends from below; the interval with the largest upper bound is cut in two until both agree to
@@ -14,11 +15,14 @@ from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 from skygcs.core.trajectory.bernstein import UNIT_ROUNDOFF, derivative, error_bound, from_power, halves, product
-from skygcs.core.trajectory.piecewise import Piece, Trajectory
+from skygcs.core.trajectory.piecewise import Piece, Trajectory, Vector
 from skygcs.errors import TrajectoryError
 
 TOLERANCE = 1e-6
 """Relative, between the largest value found and the bound that none exceeds."""
+
+BOX_TOLERANCE_M = 1e-3
+"""Largest distance from a side of the box to the point of the trajectory that is nearest to it."""
 
 MAX_CUTS = 2000
 """Cuts of intervals for one peak. The bound holds whenever the search ends; with fewer cuts it is only less tight."""
@@ -125,6 +129,25 @@ def require_within(trajectory: Trajectory, limits: MotionLimits, speed_factor: f
     return peaks
 
 
+class Box(NamedTuple):
+    """A box along the axes in which the trajectory is given."""
+
+    least_m: Vector
+    most_m: Vector
+
+    def corners(self) -> list[Vector]:
+        """All eight corners."""
+        (x0, y0, z0), (x1, y1, z1) = self
+        return [(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]
+
+
+def bounding_box(trajectory: Trajectory) -> Box:
+    """The smallest box about all positions, from outside."""
+    sides = [(-_farthest(trajectory, axis, -1.0), _farthest(trajectory, axis, 1.0)) for axis in range(3)]
+    (x0, x1), (y0, y1), (z0, z1) = sides
+    return Box((x0, y0, z0), (x1, y1, z1))
+
+
 # --- search -----------------------------------------------------------------------------------------------------------
 
 
@@ -189,15 +212,27 @@ def _largest_rate(trajectory: Trajectory, sign: float) -> Peak:
     return Peak(max(found.at_least, 0.0), at_most, found.piece, found.t_s)
 
 
-def _maximum(intervals: list[_Interval]) -> Peak:
-    """The largest value of polynomials in Bernstein form on their intervals, from below and from above."""
+def _farthest(trajectory: Trajectory, axis: int, sign: float) -> float:
+    """A bound of ``sign`` times the coordinate, from above."""
+    intervals, slack = [], 0.0
+    for number, (piece, begin) in enumerate(zip(trajectory.pieces, trajectory.begins_s, strict=True), 1):
+        coefficients = (piece.east, piece.north, piece.up)[axis]
+        slack = max(slack, error_bound(coefficients, piece.duration_s))
+        values = [sign * value for value in from_power(coefficients, piece.duration_s)]
+        intervals.append(_Interval(-max(values), number, begin, piece.duration_s, values))
+    return _maximum(intervals, BOX_TOLERANCE_M).at_most + 2.0 * slack
+
+
+def _maximum(intervals: list[_Interval], tolerance: float = 0.0) -> Peak:
+    """The largest value of polynomials in Bernstein form on their intervals, from below and from above: within
+    `TOLERANCE` or the absolute ``tolerance``, if that is more."""
     heapq.heapify(intervals)
     best, piece, t_s = -math.inf, 0, 0.0
     for interval in intervals:
         best, piece, t_s = max((best, piece, t_s), _ends(interval))
     for _ in range(MAX_CUTS):
         top = intervals[0]
-        if -top.minus_bound <= best + TOLERANCE * abs(best):
+        if -top.minus_bound <= best + max(TOLERANCE * abs(best), tolerance):
             break
         half = top.length_s / 2.0
         for part, begin in zip(halves(top.bernstein), (top.begin, top.begin + half), strict=True):

@@ -135,8 +135,10 @@ class ReplicatedClock(TrajectoryClock):
     def at(self, now: float) -> ClockTime:
         """Same as `TrajectoryClock.at`, after the orders whose time has come. A paused clock that is to go on is
         running: what looks at it must not take the wait for another pause."""
-        while self._noted and self._noted[0].at_s <= now:
-            self._carry_out(self._noted.pop(0))
+        due = [order for order in self._noted if order.at_s <= now]
+        del self._noted[: len(due)]  # before the first is carried out, which asks for the present again
+        for order in due:
+            self._carry_out(order)
         time = super().at(now)
         if self._noted and time.state is ClockState.PAUSED and self._noted[-1].kind == "resume":
             return time._replace(state=ClockState.RUNNING)

@@ -249,8 +249,9 @@ class TrajectoryClock:
     def _forget(self, now: float) -> None:
         """The phases changed: evaluate the present anew."""
         latest, latest_now = self._latest
+        now = self._now(now) if math.isfinite(latest_now) else now
         self._latest = latest, math.nextafter(latest_now, -math.inf)
-        self.at(self._now(now) if math.isfinite(latest_now) else now)
+        self.at(now)
 
     def _first_rate(self) -> float:
         return self.speed_factor if self.rests_at_start else 0.0

@@ -350,7 +350,7 @@ def reboot(vehicle: Vehicle, *, force: bool = False) -> Plan:
 
 
 def set_home(place: Destination | None) -> Plan:
-    """None: the present position."""
+    """The plan that sets home to a place; None: to the vehicle's present position."""
     if place is None:
         spec = CommandSpec(mav_cmd.DO_SET_HOME, (1.0,))
     else:

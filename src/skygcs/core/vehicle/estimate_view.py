@@ -42,7 +42,8 @@ _MESSAGES = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
 
 
 class EstimateView:
-    """One vehicle's. Call `set_local_origin` first, then `measure` once per tick; times are the loop's."""
+    """The estimate of one vehicle as it comes over the link. Call `set_local_origin` first, then `measure` once per
+    tick; times are the loop's."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.frame: EnuFrame | None = None
@@ -125,7 +126,7 @@ class EstimateView:
         return estimate.pos_enu_m, self._at - (self.delay.uplink_s or 0.0)
 
     def place_at_arrival(self, now: float) -> Vector | None:
-        """Where it is when a setpoint that is sent now reaches it, likewise."""
+        """Where it is when a setpoint that is sent now reaches it, if it goes on as it last reported."""
         return self._place_after(self._since_s(now) + (self.delay.uplink_s or 0.0))
 
     def _place_after(self, time_s: float) -> Vector | None:

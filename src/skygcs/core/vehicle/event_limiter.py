@@ -93,14 +93,14 @@ class EventLimiter:
         return () if due is None else (due,)
 
     def tick(self, now: float) -> tuple[Event, ...]:
-        """Withheld events whose period is over."""
+        """Return the withheld events whose period is over."""
         passed = [due for bucket in self._buckets.values() if (due := self._due(bucket, now)) is not None]
         for key in [key for key, bucket in self._buckets.items() if _is_idle(bucket, now)]:
             del self._buckets[key]
         return tuple(passed)
 
     def flush(self, now: float) -> tuple[Event, ...]:
-        """All withheld events at once; no more events follow."""
+        """Return all withheld events; no more events follow."""
         return tuple(e for bucket in self._buckets.values() if (e := self._newest(bucket, now)) is not None)
 
     def _due(self, bucket: _Bucket, now: float) -> Event | None:

@@ -230,7 +230,7 @@ class LandingWatch:
         """The first evidence that it has not landed."""
 
     def look(self, vehicle: Vehicle, now: float) -> None:
-        """Note what it shows."""
+        """Note what the vehicle shows about being landed."""
         silence_s = vehicle.silence_s(now)
         if vehicle.armed or silence_s is None:
             self._disarmed_at = None

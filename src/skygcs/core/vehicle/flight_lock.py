@@ -219,11 +219,11 @@ class FlightLock:
         return any(member.key == key for member in self.members)
 
     def of(self, names: frozenset[str]) -> FlightLock:
-        """The same lock of some of its members."""
+        """The lock of only some of its members."""
         return replace(self, members=tuple(member for member in self.members if member.name in names))
 
     def in_modes(self, modes: Mapping[str, str]) -> FlightLock:
-        """The same lock of members that are in these modes by now."""
+        """The lock with the modes in which its members are by now."""
         members = tuple(replace(member, mode=modes.get(member.name, member.mode)) for member in self.members)
         return replace(self, members=members)
 

@@ -23,7 +23,8 @@ _NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
 
 
 class Slot:
-    """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over a few seconds.
+    """The newest frame of one message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over a few
+    seconds.
 
     ``unpacked``: the frame that was unpacked last and the values read from it (see `MessageCache.values`).
     """

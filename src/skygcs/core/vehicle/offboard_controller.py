@@ -79,7 +79,8 @@ OFF, ENGAGING, FLYING, HELD = OffboardState
 
 @dataclass(frozen=True, slots=True)
 class OffboardConfig:
-    """How to fly. Rates in setpoints per second; ``rate_min_hz``: attitude is not flown with fewer."""
+    """The configuration of control. Rates in setpoints per second; ``rate_min_hz``: attitude is not flown with
+    fewer."""
 
     law: ControlConfig
     guard: GuardConfig

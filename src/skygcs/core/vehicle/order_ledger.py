@@ -86,7 +86,7 @@ class OrderLedger:
 
     @property
     def in_progress(self) -> int:
-        """How many are in progress."""
+        """Number of orders in progress."""
         return len(self._in_progress)
 
     @property

@@ -53,8 +53,8 @@ class ArmedIs:
 
 @dataclass(frozen=True, slots=True)
 class ModeIn:
-    """In one of these modes. ``or_disarmed``: also met when disarmed; on the ground a vehicle may leave the mode at
-    once."""
+    """Expectation of one of these modes. ``or_disarmed``: also met when disarmed; on the ground a vehicle may leave the
+    mode at once."""
 
     custom_modes: frozenset[int]
     or_disarmed: bool = False

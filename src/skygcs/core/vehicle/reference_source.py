@@ -145,7 +145,7 @@ class ReferenceSource:
         return x, y, z
 
     def _near(self, reference: Reference, now: float) -> Reference:
-        """The same with what follows a velocity or a rate alone kept near the vehicle."""
+        """The reference, kept near the vehicle where it follows a velocity or a rate alone."""
         if reference.yaw_rate_only:
             yaw = self._estimate_view.yaw_rad()
             off = math.remainder(reference.yaw_rad - yaw, math.tau)

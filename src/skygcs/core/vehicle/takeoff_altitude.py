@@ -31,7 +31,8 @@ class TakeoffAltitude:
     def update(
         self, silence_s: float | None, *, armed: bool, in_air: bool | None, standing_amsl_m: float | None
     ) -> None:
-        """Once a second. ``silence_s``: time since the last heartbeat. ``in_air``: None if that is not known.
+        """Update the altitude, once a second. ``silence_s``: time since the last heartbeat. ``in_air``: None if that is
+        not known.
 
         ``standing_amsl_m``: its altitude, if that is fresh and it neither climbs nor sinks (`standing_amsl_m`).
         """
@@ -49,7 +50,7 @@ class TakeoffAltitude:
         self._wanted = self.alt_amsl_m is None
 
     def touched_down(self) -> None:
-        """It stands again. While it is still armed it may take off from there without a further order."""
+        """Note that it stands again. While it is still armed it may take off from there without a further order."""
         self._wanted = True
 
     def forget(self) -> None:

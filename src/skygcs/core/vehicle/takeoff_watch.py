@@ -104,7 +104,7 @@ class TakeoffWatch:
         return self._below(up_m, now)
 
     def progress(self) -> str:
-        """How far it is, for people: "1.2 of 5.0 m"."""
+        """The climb so far, for people: "1.2 of 5.0 m"."""
         position = self._vehicle.telemetry("position")
         up_m = 0.0 if position is None else position["alt_amsl_m"] - self._from_amsl_m
         return f"{max(0.0, up_m):.1f} of {self._height_m:.1f} m"
@@ -127,7 +127,7 @@ class TakeoffWatch:
         return "it did not reach its height in time" if now > self._until else None
 
     def _below(self, up_m: float, now: float) -> Verdict | WrongHeight | str:
-        """It is below its height: does it still climb?"""
+        """Judge a vehicle that is below its height: does it still climb?"""
         if self._vehicle.mode == "AUTO.LOITER":
             self._loiter_since = min(self._loiter_since, now)
             if now - self._loiter_since > SETTLE_S:

@@ -77,7 +77,7 @@ class TrackingRecord:
         """Distances, and the time between them."""
 
     def observe(self, controller: OffboardController, now: float) -> None:
-        """In every tick of control: note the reference, and the distance of a new position if one is due."""
+        """Note, in every tick of control, the reference, and the distance of a new position if one is due."""
         reference = controller.reference
         if reference is None or reference.velocity_only:
             self._notes.clear()
@@ -130,7 +130,7 @@ class TrackingRecord:
 
     @property
     def tracking_error_m(self) -> float | None:
-        """p99; None before it was measured for a minute of moving references."""
+        """99th percentile of the tracking error; None before it was measured for a minute of moving references."""
         if self._moving_s < LEAST_S or len(self._moving_m) < LEAST_ERRORS:
             return None
         moving_m, standing_m = self._moving_m.at_most(PERCENTILE), None
@@ -141,13 +141,13 @@ class TrackingRecord:
 
     @property
     def measured_s(self) -> float:
-        """Over how long the tracking error was measured, as far as it counts."""
+        """Time over which the tracking error that counts was measured."""
         counting = len(self._moving_m) + len(self._standing_m)
         return 0.0 if not self._counted else counting * self._counted_s / self._counted
 
     @property
     def delay_s(self) -> float | None:
-        """p99; None before a hundred round trips."""
+        """99th percentile of the delay; None before a hundred round trips."""
         if len(self._trips_s) < LEAST_TRIPS:
             return None
         longest, shortest = self._trips_s.at_most(PERCENTILE), self._trips_s.at_least()
@@ -156,5 +156,5 @@ class TrackingRecord:
 
     @property
     def round_trips(self) -> int:
-        """How many the delay comes from."""
+        """Number of round trips from which the delay was measured."""
         return len(self._trips_s)

@@ -17,8 +17,7 @@ from skygcs.core.control.gains import out_of_range
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, TrajectoryClock, motion_peaks
-from skygcs.core.trajectory.bounding_box import Box, bounding_box
-from skygcs.core.trajectory.motion_limits import SLACK
+from skygcs.core.trajectory.motion_limits import SLACK, Box, bounding_box
 from skygcs.core.trajectory.piecewise import joints, require_continuous
 from skygcs.core.trajectory.replicated_clock import ReplicatedClock
 from skygcs.core.trajectory.trajectory_clock import AT_REST_MPS, rate_limit

@@ -92,7 +92,7 @@ class HoldIt:
 
 @dataclass(frozen=True, slots=True)
 class HoldsAfterAll:
-    """It carries out an order to hold whose outcome was not known."""
+    """The vehicle carries out an order to hold whose outcome was not known."""
 
     mode: str
 
@@ -126,7 +126,7 @@ class UnattendedWatch:
         return self._before if self._carries_out is None else None
 
     def on_order(self, order: str) -> None:
-        """It has accepted an order of ours that its autopilot carries out by itself."""
+        """Note an accepted order of ours that the autopilot carries out by itself."""
         self._carries_out, self._stream, self._since = f"its autopilot, by our order {order}", None, None
 
     def on_flown(self, who: str, now: float) -> None:
@@ -135,7 +135,7 @@ class UnattendedWatch:
         self._before, self._carries_out, self._flown_at = who, None, now
 
     def on_station(self, station: str, target: Target, now: float) -> None:
-        """A setpoint or an order of another station to it passed us."""
+        """Note a setpoint or an order of another station to it that was routed."""
         if target == "place":
             self._carries_out, self._stream = f"its autopilot, by an order of {station}", None
         else:
@@ -196,7 +196,7 @@ class UnattendedWatch:
         return None
 
     def _other_mode(self, facts: Watched, now: float) -> Effect | None:
-        """It shows that it does not follow setpoints, or does not fly."""
+        """Note a mode in which it does not follow setpoints, or that it does not fly."""
         self._since = None
         if self._left_at is None:
             self._left_at = now

@@ -129,7 +129,7 @@ class UplinkWatch:
         return True, self.heard(now)
 
     def heard(self, now: float) -> Change | None:
-        """It showed that it hears us; returns the change to report."""
+        """Note other proof that it hears us; returns the change to report."""
         before = len(self._waiting)
         self._waiting = {token: at for token, at in self._waiting.items() if now - at < self.answer_timeout_s}
         if not self.lost:  # losses of a dead uplink do not count for the loss rate of a live one
@@ -171,7 +171,7 @@ class UplinkWatch:
             self._in_doubt_since = None
 
     def forget(self) -> None:
-        """It rebooted or is lost: earlier answers do not count."""
+        """Forget earlier answers: it rebooted or is lost."""
         self.lost, self.unanswered, self.answered_at = False, 0, None
         self._in_doubt_since = None
         self._waiting.clear()

@@ -249,7 +249,7 @@ class Vehicle:
 
     @property
     def kind(self) -> VehicleClass:
-        """Its class, by all that it has shown."""
+        """The class of vehicle, by all that its messages have shown."""
         q_enable = self.param("Q_ENABLE")
         return vehicle_class(self.autopilot, self.type, self.custom_mode, self.program, q_enable, self._last_vtol_state)
 
@@ -396,7 +396,7 @@ class Vehicle:
         return self.timed_telemetry(name)[1]
 
     def timed_telemetry(self, name: str) -> tuple[TelemetryGroup, float] | tuple[None, None]:
-        """`telemetry` and `telemetry_at`."""
+        """One telemetry group, and the time at which its newest message came."""
         group_values, at = self.message_cache.telemetry(name)
         return (None, None) if group_values is None else (group_values, at)
 
@@ -618,7 +618,7 @@ class Vehicle:
         return self._found(self.ids.on_clock(self.boot, now))
 
     def restart(self, now: float, text: str) -> Events:
-        """It restarted on another channel, or another vehicle replaces it."""
+        """Drop its state: it restarted on another channel, or another vehicle replaces it."""
         self.boot.forget()
         self.heartbeats.forget()
         return (self._rebooted(now, text, since=now),)

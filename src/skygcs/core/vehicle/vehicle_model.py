@@ -54,7 +54,7 @@ class Sticks(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VehicleModel:
-    """One vehicle now; see the table of the module."""
+    """Facts about one vehicle now by which its orders are gated; see the table of the module."""
 
     name: str
     family: Family

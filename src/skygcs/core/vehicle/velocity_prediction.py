@@ -35,7 +35,7 @@ class VelocityPrediction:
         self._judged_at = -math.inf
 
     def forget(self) -> None:
-        """Control begins anew: nothing is measured."""
+        """Forget all measurements: control begins anew."""
         self.refused, self.round_trip_s, self._judged_at = None, None, -math.inf
 
     @property
@@ -44,7 +44,7 @@ class VelocityPrediction:
         return self.round_trip_s is not None
 
     def judge(self, law: ControlConfig, period_s: float, now: float) -> None:
-        """Look again, every JUDGE_S; a setpoint is sent each ``period_s``."""
+        """Judge anew, every JUDGE_S; a setpoint is sent each ``period_s``."""
         measured_s = self._view.delay.recent_rtt_s
         if self.round_trip_s is not None and measured_s is not None:
             self.round_trip_s = measured_s

@@ -533,12 +533,17 @@ class CompanionControl:
     async def _order_clock(
         self, flown: TrajectoryFlight, flight: int, number: int, unanswered: dict[int, ClockOrder]
     ) -> None:
-        """One order, with all before it that were not answered: this one may come before their repeats. A stop is
-        harmless at any time, and repeated as long as an end of control."""
+        """One order, each time with all that are not answered: it may come before the repeats of earlier ones, and a
+        pause must not stand without the resume that followed. A stop is repeated as long as an end of control."""
+
+        def given() -> Json:
+            known = unanswered.items()
+            orders = [{"number": n, **wire.clock_order_json(o), "at_s": self._there(o.at_s)} for n, o in known]
+            return {"flight": flight, "orders": orders}
+
         order = unanswered[number]
         start_s = RELEASE_S if order.stops else START_BY_S
-        orders = [{"number": n, **wire.clock_order_json(o), "at_s": self._there(o.at_s)} for n, o in unanswered.items()]
-        outcome = await self._relay("clock", {"flight": flight, "orders": orders}, number, start_s=start_s)
+        outcome = await self._relay("clock", given, number, start_s=start_s)
         if number not in unanswered:
             return  # a newer one, which carried it, was answered
         if outcome.ok:
@@ -556,13 +561,14 @@ class CompanionControl:
     async def _relay(
         self,
         order: str,
-        given: Json,
+        given: Json | Callable[[], Json],
         number: int | None = None,
         *,
         start_s: float = START_BY_S,
         answer_s: float = ANSWER_S,
     ) -> Outcome:
-        """One order to its outcome. ``start_s``: it is carried out only if it arrives within so long."""
+        """One order to its outcome. ``start_s``: it is carried out only if it arrives within so long. ``given``: if it
+        is a function, what it returns at each repeat."""
         began = self._loop.time()
         number = next(self._numbers) if number is None else number
         relayed = RelayedOrder(number, self.controller.session or "", began + start_s, began + start_s + answer_s)
@@ -572,15 +578,16 @@ class CompanionControl:
             "number": number,
             "until_s": self._there(relayed.start_by),
             "order": order,
-            "given": given,
         }
         self._relayed[order] += 1
         try:
-            return await self._asked(relayed, params, began)
+            return await self._asked(relayed, params, given, began)
         finally:
             self._relayed[order] -= 1
 
-    async def _asked(self, relayed: RelayedOrder, params: Json, began: float) -> Outcome:
+    async def _asked(
+        self, relayed: RelayedOrder, params: Json, given: Json | Callable[[], Json], began: float
+    ) -> Outcome:
         """Ask with the same number until there is an answer, or patience is over. Once a pilot has the vehicle, only
         whether control has begun is asked: the companion does not begin it any more, as its deadline is over."""
         why, taken = "no answer came", None
@@ -600,7 +607,8 @@ class CompanionControl:
             if params["order"] == "engage":
                 wait_s = max(wait_s, 1.0)  # it takes seconds: to ask more often learns nothing
             try:
-                answer = await companion.call("companion.order", params, wait_s)
+                asked = {**params, "given": given() if callable(given) else given}
+                answer = await companion.call("companion.order", asked, wait_s)
             except LinkError as error:
                 why = str(error)
                 left_s = wait_s - (self._loop.time() - now)

@@ -69,8 +69,9 @@ class FollowedTrajectory:
     """``number`` of the order that began it; ``noted``: of the newest order to its clock."""
 
     number: int
-    flight: TrajectoryFlight
     clock: ReplicatedClock
+    flight: TrajectoryFlight | None = None
+    """None: it has not begun."""
     noted: int = 0
 
     def note(self, orders: Mapping[int, ClockOrder], now: float) -> str:
@@ -391,10 +392,11 @@ class GroundOrders:
             rests_at_end=given.get("rests_at_end") is True,
         )
         clock.start(now, max(now, at_s))
-        self._followed = FollowedTrajectory(number, engagement.follow_trajectory(loaded, clock, lock), clock)
-        flight, early = self._early
+        followed, (flight, early) = FollowedTrajectory(number, clock), self._early
         if flight == number:
-            self._followed.note(early, now)
+            followed.note(early, now)
+        followed.flight = engagement.follow_trajectory(loaded, clock, lock)
+        self._followed = followed
         return Outcome(True, "accepted", f"{loaded.name} begins in {at_s - now:.1f} s")
 
     def _order_clock(self, engagement: OffboardEngagement, given: Json) -> Outcome:

@@ -159,9 +159,9 @@ def _timed(entries: Iterable[LogEntry]) -> Iterator[tuple[int, LogEntry]]:
     held: LogEntry | None = None
     """It is a day away from the one before."""
     for entry in entries:
-        own_us = entry.unix_us or 0
+        own_us = entry.dated_us or 0
         if held is not None:
-            held_us = held.unix_us or 0
+            held_us = held.dated_us or 0
             if abs(own_us - held_us) < CLOCK_STEP_US or (time_us is not None and time_us < held_us < own_us):
                 time_us = held_us  # the clock was set, another flight begins, or days passed without a record
             elif time_us is None:
@@ -174,7 +174,7 @@ def _timed(entries: Iterable[LogEntry]) -> Iterator[tuple[int, LogEntry]]:
         else:
             held = entry
     if held is not None:
-        yield max(held.unix_us or 0, time_us or 0), held  # nothing follows it that it would delay
+        yield max(held.dated_us or 0, time_us or 0), held  # nothing follows it that it would delay
 
 
 def _units(log: LogFile) -> str:

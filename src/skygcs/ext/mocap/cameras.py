@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING
 
-from skygcs.core.geo import Origin, enu_from_geodetic, quaternion_from_euler
-from skygcs.ext.mocap.pose import CaptureFrame, Pose, ned_frd, product
+from skygcs.core.geo import Origin, enu_from_geodetic, quaternion_from_euler, quaternion_product
+from skygcs.ext.mocap.pose import CaptureFrame, Pose, ned_frd
 from skygcs.ext.mocap.recording import CaptureFrameData
 from skygcs.sim.rng import Rng
 
@@ -76,7 +76,7 @@ class CaptureCameras:
             x += away_m * (1.0 if angle > pi / 2 else -1.0)
         n = errors.noise_m
         turned = quaternion_from_euler(*(errors.noise_rad * rng.gauss() for _ in range(3)))
-        q = product(true_pose(vehicle, self._origin, now).q, turned)
+        q = quaternion_product(true_pose(vehicle, self._origin, now).q, turned)
         pose = Pose(now, (x + n * rng.gauss(), y + n * rng.gauss(), z + n * rng.gauss()), q)
         seen = self._last[name] = self._frame.from_enu(pose, self._origin)
         return seen

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from skygcs.core.geo import Origin
+from skygcs.core.geo import Origin, conjugate, quaternion_product, rotated
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -75,35 +75,35 @@ class CaptureFrame:
             return None
         pos_m, q = pose.pos_m, normalized(pose.q)
         if self.up == "y":
-            pos_m = rotate(Z_FROM_Y_UP, pos_m)
-            q = product(product(Z_FROM_Y_UP, q), conjugate(Z_FROM_Y_UP))
-        x, y, z = rotate(about_up(self.rotation_rad), pos_m)
+            pos_m = rotated(Z_FROM_Y_UP, pos_m)
+            q = quaternion_product(quaternion_product(Z_FROM_Y_UP, q), conjugate(Z_FROM_Y_UP))
+        x, y, z = rotated(about_up(self.rotation_rad), pos_m)
         dx, dy, dz = self.offset_m
         # the world's x axis is turned from east by this much, counter-clockwise
         world_rad = math.radians(90.0 - origin.x_heading_deg)
         return Pose(
             pose.at,
-            rotate(about_up(world_rad), (x + dx, y + dy, z + dz)),
-            product(about_up(world_rad + self.rotation_rad), q),
+            rotated(about_up(world_rad), (x + dx, y + dy, z + dz)),
+            quaternion_product(about_up(world_rad + self.rotation_rad), q),
         )
 
     def from_enu(self, pose: Pose, origin: Origin) -> Pose:
         """The inverse of `to_enu`."""
         world_rad = math.radians(90.0 - origin.x_heading_deg)
-        x, y, z = rotate(about_up(-world_rad), pose.pos_m)
+        x, y, z = rotated(about_up(-world_rad), pose.pos_m)
         dx, dy, dz = self.offset_m
-        pos_m = rotate(about_up(-self.rotation_rad), (x - dx, y - dy, z - dz))
-        q = product(about_up(-world_rad - self.rotation_rad), pose.q)
+        pos_m = rotated(about_up(-self.rotation_rad), (x - dx, y - dy, z - dz))
+        q = quaternion_product(about_up(-world_rad - self.rotation_rad), pose.q)
         if self.up == "y":
-            pos_m = rotate(conjugate(Z_FROM_Y_UP), pos_m)
-            q = product(product(conjugate(Z_FROM_Y_UP), q), Z_FROM_Y_UP)
+            pos_m = rotated(conjugate(Z_FROM_Y_UP), pos_m)
+            q = quaternion_product(quaternion_product(conjugate(Z_FROM_Y_UP), q), Z_FROM_Y_UP)
         return Pose(pose.at, pos_m, q)
 
 
 def ned_frd(pose: Pose) -> Pose:
     """A pose of ENU and FLU in NED and FRD."""
     east, north, up = pose.pos_m
-    return Pose(pose.at, (north, east, -up), product(product(NED_FROM_ENU, pose.q), FLU_FROM_FRD))
+    return Pose(pose.at, (north, east, -up), quaternion_product(quaternion_product(NED_FROM_ENU, pose.q), FLU_FROM_FRD))
 
 
 def about_up(angle_rad: float) -> Quaternion:
@@ -111,35 +111,11 @@ def about_up(angle_rad: float) -> Quaternion:
     return math.cos(angle_rad / 2), 0.0, 0.0, math.sin(angle_rad / 2)
 
 
-def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton's: first the turn b, then a."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-def conjugate(q: Quaternion) -> Quaternion:
-    """The turn back, of a unit quaternion."""
-    w, x, y, z = q
-    return w, -x, -y, -z
-
-
 def normalized(q: Quaternion) -> Quaternion:
     """With norm 1. The norm must not be 0."""
     norm = math.hypot(*q)
     w, x, y, z = q
     return w / norm, x / norm, y / norm, z / norm
-
-
-def rotate(q: Quaternion, vector: Vector) -> Vector:
-    """The vector turned by a unit quaternion."""
-    _, x, y, z = product(product(q, (0.0, *vector)), conjugate(q))
-    return x, y, z
 
 
 def angle_between_rad(a: Quaternion, b: Quaternion) -> float:

@@ -217,6 +217,10 @@ def test_sensors_by_name() -> None:
     # an ArduPlane from the factory, whose ground station sends no heights of the ground
     ground = health.sensors(facts(sensors={**part, "unhealthy": ["terrain"]}), WANTED)
     assert (ground.verdict, ground.severity) == (Verdict.FAIL, Severity.NOTE) and "TERRAIN_ENABLE 0" in ground.todo
+    for unhealthy in ("terrain",), ():
+        needed = {**part, "unhealthy": unhealthy}
+        finding = health.sensors(facts(sensors=needed), Expectations(sensors_required=("terrain",)))
+        assert (finding.verdict, finding.severity) == (Verdict.FAIL, None), "that of the check"
 
 
 @each(

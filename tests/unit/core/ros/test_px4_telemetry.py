@@ -170,6 +170,8 @@ def test_what_an_estimator_that_never_spoke_sends_is_taken_as_valid() -> None:
     assert local["xy_valid"] and local["z_valid"]
     place = made("GLOBAL_POSITION_INT", GLOBAL, Px4Memory(1))["vehicle_global_position"]
     assert place["lat_lon_valid"] and place["alt_valid"]
+    nowhere = made("GLOBAL_POSITION_INT", GLOBAL | {"lat": 40, "lon": -7}, Px4Memory(1))["vehicle_global_position"]
+    assert not nowhere["lat_lon_valid"]
 
 
 def test_a_global_position_has_the_geoid_of_the_receiver_and_the_terrain() -> None:

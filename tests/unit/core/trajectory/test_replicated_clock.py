@@ -59,6 +59,21 @@ def test_an_order_that_comes_too_late_is_carried_out_then() -> None:
     assert ahead_s == pytest.approx(7.0 - 5.0 - LEAD_S, abs=0.03)
 
 
+def test_orders_that_come_too_late_together_are_carried_out_one_after_another() -> None:
+    ours, theirs, under_way = pair()
+    for begin, orders, end in (
+        (5.0, (ours.pause, ours.resume), ClockState.RUNNING),
+        (15.0, (ours.pause, ours.resume, ours.pause), ClockState.PAUSED),
+    ):
+        for k, order in enumerate(orders):
+            order(begin + 0.5 * k)
+        steps(ours, theirs, begin + 1.0, begin + 4.0)
+        while under_way:
+            theirs.note(under_way.pop(0))
+        steps(ours, theirs, begin + 4.0, begin + 10.0)
+        assert ours.at(begin + 10.0).state is theirs.at(begin + 10.0).state is end
+
+
 def test_orders_are_refused_as_by_any_clock_and_not_given_twice() -> None:
     ours, _, under_way = pair()
     ours.at(5.0)

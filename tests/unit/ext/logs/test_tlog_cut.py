@@ -190,6 +190,11 @@ def test_a_merge_is_by_time_and_stable(tmp_path: Path) -> None:
     found = [(raw[5], raw[4]) for _, raw in records(out)]
     assert found == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 2), (1, 3), (2, 2), (1, 4), (2, 3), (2, 4)]
 
+    hour = 3_600_000_000
+    g, h = log("g.tlog", 0, hour, 7, sysid=1), log("h.tlog", 3, 8, sysid=2)
+    run("merge", g, h, "-o", out, "--force")
+    assert [(raw[5], raw[4]) for _, raw in records(out)] == [(1, 0), (1, 1), (2, 0), (1, 2), (2, 1)]
+
     # days without a record are no damage
     e, f = log("e.tlog", 0, 2 * day, 4 * day, 4 * day + 1, sysid=1), log("f.tlog", day, 3 * day, 5 * day, sysid=2)
     run("merge", e, f, "-o", out, "--force")

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.geo import Origin, euler_from_quaternion, quaternion_from_euler
-from skygcs.ext.mocap.pose import CaptureFrame, Pose, Quaternion, angle_between_rad, ned_frd, rotate
+from skygcs.core.geo import Origin, euler_from_quaternion, quaternion_from_euler, rotated
+from skygcs.ext.mocap.pose import CaptureFrame, Pose, Quaternion, angle_between_rad, ned_frd
 from support.table import each
 
 EAST = Origin(43.78, -79.46, 180.0)
@@ -20,7 +20,7 @@ metres = st.floats(-50, 50)
 
 
 def matrix(q: Quaternion) -> np.ndarray:
-    return np.array([rotate(q, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]).T
+    return np.array([rotated(q, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]).T
 
 
 def turn_z(rad: float) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_a_level_vehicle_has_the_compass_heading_as_yaw(yaw_enu_deg: float, head
 
 def test_nose_up_in_flu_is_nose_up_in_frd() -> None:
     nose_up = quaternion_from_euler(0.0, -0.2, 0.0)  # FLU: a positive turn about y (left) lowers the nose
-    assert rotate(nose_up, (1.0, 0.0, 0.0))[2] > 0
+    assert rotated(nose_up, (1.0, 0.0, 0.0))[2] > 0
     assert euler_from_quaternion(*ned_frd(Pose(0.0, (0, 0, 0), nose_up)).q)[1] == pytest.approx(0.2)
 
 

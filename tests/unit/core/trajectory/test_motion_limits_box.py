@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.trajectory import Piece, Trajectory
-from skygcs.core.trajectory.bounding_box import TOLERANCE_M, bounding_box
+from skygcs.core.trajectory.motion_limits import BOX_TOLERANCE_M, bounding_box
 
 coefficients = st.lists(st.floats(-20, 20), min_size=1, max_size=8).map(tuple)
 pieces = st.builds(Piece, st.floats(0.1, 5.0), coefficients, coefficients, coefficients)
@@ -28,8 +28,8 @@ def test_no_point_is_outside_and_each_side_is_nearly_reached(given_: list[Piece]
         values = [sample[axis] for sample in samples]
         assert box.least_m[axis] <= min(values) + 1e-6 and box.most_m[axis] >= max(values) - 1e-6
         span = max(values) - min(values)
-        assert box.most_m[axis] - max(values) <= TOLERANCE_M + 0.02 * span + 1e-6
-        assert min(values) - box.least_m[axis] <= TOLERANCE_M + 0.02 * span + 1e-6
+        assert box.most_m[axis] - max(values) <= BOX_TOLERANCE_M + 0.02 * span + 1e-6
+        assert min(values) - box.least_m[axis] <= BOX_TOLERANCE_M + 0.02 * span + 1e-6
 
 
 def test_a_peak_between_samples_is_found() -> None:
