@@ -28,6 +28,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import MAX_VEHICLES
 from support.examples import is_deep
 from support.public_data import present, public_file
+from support.services import KnownLinks
 from support.vehicles import (
     ARDUPILOT,
     CAPTURE,
@@ -73,7 +74,12 @@ class Listening:
         self.sent = 0
         loop = asyncio.get_running_loop()
         self.fleet = Fleet(
-            FleetConfig.model_validate(config or {}), flight_dialect(), self._send, loop, self.events.append
+            FleetConfig.model_validate(config or {}),
+            flight_dialect(),
+            self._send,
+            loop,
+            self.events.append,
+            links=KnownLinks(),
         )
 
     def _send(self, *_: object, **__: object) -> bool:

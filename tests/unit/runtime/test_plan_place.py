@@ -9,6 +9,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.plan_place import FAULT, PlanPlace
+from support.services import KnownLinks
 from support.vehicles import flight_dialect
 
 
@@ -56,7 +57,14 @@ async def test_each_fault_is_reported_and_the_last_status_stands() -> None:
 
 async def test_the_fleet_does_all_of_its_tick_though_the_keeper_fails(monkeypatch: Any) -> None:
     events: list[Event] = []
-    fleet = Fleet(FleetConfig(), flight_dialect(), lambda *_, **__: True, asyncio.get_running_loop(), events.append)
+    fleet = Fleet(
+        FleetConfig(),
+        flight_dialect(),
+        lambda *_, **__: True,
+        asyncio.get_running_loop(),
+        events.append,
+        links=KnownLinks(),
+    )
     noted: list[float] = []
     monkeypatch.setattr(fleet.notes, "note_flights", noted.append)
     fleet.plans.keeper = Broken()

@@ -16,6 +16,7 @@ from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
+from support.services import KnownLinks
 from support.vehicles import flight_dialect
 from support.watched_fleet import ORIGIN, WatchedVehicle
 
@@ -29,7 +30,7 @@ class Sky:
         self.loop = asyncio.get_running_loop()
         self.events: list[Event] = []
         config = FleetConfig.model_validate({"monitor": {"mode": mode}})
-        self.fleet = Fleet(config, flight_dialect(), self._send, self.loop, self.events.append)
+        self.fleet = Fleet(config, flight_dialect(), self._send, self.loop, self.events.append, links=KnownLinks())
         self.sent = 0
         self.vehicles = [Heard(i + 1, self.fleet) for i in range(count)]
 
