@@ -178,6 +178,8 @@ def land(targets: Targets, json_output: OrderJson = None) -> None:
 def rtl(targets: Targets, json_output: OrderJson = None) -> None:
     """Return to the launch position and land there.
 
+    One whose way home is not clear holds until it is. Ordered again alone, it returns at once.
+
     Example: skygcs-cli rtl all
     """
     _order("rtl", targets, json_output)

@@ -164,7 +164,11 @@ def vehicles_get(context: Context, params: TargetParams) -> JsonObject:
 
 
 async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
-    """Set the flight mode by the autopilot's own name for it."""
+    """Set the flight mode by the autopilot's own name for it.
+
+    The mode of a return or of a landing is, for copters in flight, the order vehicles.rtl or vehicles.land; force sets
+    the mode alone.
+    """
     return await command(context, params.targets, VehicleActor.set_mode, name=params.mode, force=params.force)
 
 
@@ -198,7 +202,13 @@ METHODS: tuple[Method[Context], ...] = (
         "vehicles.takeoff", TakeoffParams, VehicleActor.takeoff, "Take off to a height above the ground it stands on."
     ),
     order_method("vehicles.land", TargetsParams, VehicleActor.land, "Land where it is."),
-    order_method("vehicles.rtl", TargetsParams, VehicleActor.rtl, "Return to launch and land there."),
+    order_method(
+        "vehicles.rtl",
+        TargetsParams,
+        VehicleActor.rtl,
+        "Return to launch and land there. A vehicle whose way home is not clear holds until it is, and its outcome "
+        "says so; ordered again alone it returns at once.",
+    ),
     order_method("vehicles.hold", HoldParams, VehicleActor.hold, "Stop and hold position."),
     order_method(
         "vehicles.stop",
