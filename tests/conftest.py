@@ -148,13 +148,15 @@ def pytest_asyncio_loop_factories(
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Signals as at a terminal: a shell starts a background job with SIGINT ignored, every process that a test starts
-    would inherit that, and Ctrl-C would not be what is tested.
+    """Signals as at a terminal: a shell starts a background job with SIGINT ignored, and nohup with SIGHUP. Every
+    process that a test starts would inherit that, and neither Ctrl-C nor a hang-up would be what is tested.
 
     One cache for all of this run, its workers and the daemons they start, and not that of whoever runs it: dialects
     are read once, and parameters of simulated vehicles do not stay behind."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     if not hasattr(config, "workerinput"):
         config.stash[_cache] = tempfile.TemporaryDirectory(prefix="skygcs-tests-")
         os.environ["XDG_CACHE_HOME"] = config.stash[_cache].name
