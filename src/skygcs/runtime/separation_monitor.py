@@ -297,7 +297,7 @@ class SeparationMonitor:
                 continue
             flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
             way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
-            others.append(self._present_way(actor, track, frame) if way is None else way)
+            others.append(self._present_way(actor, track, frame, ahead=False) if way is None else way)
         return await self._way_refusals(ways, others) | self._landing_refusals(ways)
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
@@ -380,12 +380,13 @@ class SeparationMonitor:
             led = actor.offboard.flying or actor.vehicle.mode in MISSION_MODES
             yield way, track.parked or (stays and not led and actor.vehicle.mode in YIELDING_MODES)
 
-    def _present_way(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way:
-        """Where a vehicle is, and the way to where skygcs has sent it, else where it flies straight on."""
+    def _present_way(self, actor: VehicleActor, track: Track, frame: EnuFrame, *, ahead: bool = True) -> Way:
+        """Where a vehicle is, and the way to where skygcs has sent it, else (``ahead``) where it flies straight on. Not
+        ahead for a mission: it takes minutes, and where one passes by now is no obstacle to it."""
         destination = self._destination(track.key)
         holds = holding_disc(Other(track, destination), frame)
         points = [frame.from_ecef(track.ecef_m), holds.middle_m]
-        if destination is None and not track.parked and not track.lost:
+        if ahead and destination is None and not track.parked and not track.lost:
             points += [frame.from_geodetic(*place) for place in self._trajectory(actor)] or _ahead(points[0], track)
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
         silence_s = 0.0 if track.parked else min(self._loop.time() - track.at, TRACK_SILENT_S)
