@@ -15,7 +15,7 @@ from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort, X
 from skygcs.config.dialects import load_dialect
 from skygcs.config.param_sets import load_param_set
 from skygcs.config.radio import EmulatedRadio, EmulatedXBees
-from skygcs.core.geo import NOWHERE, is_no_place
+from skygcs.core.geo import NOWHERE, is_nowhere
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.ending_signals import ending_signals
 from skygcs.errors import LinkError
@@ -224,7 +224,7 @@ def _parse_home(text: str) -> tuple[LocalFrame, float]:
         raise LinkError(f"--home {text!r}: write LAT,LON,AMSL or LAT,LON,AMSL,HEADING") from None
     if len(numbers) > 4 or not (abs(lat_deg) < 90 and abs(lon_deg) <= 180 and abs(alt_amsl_m) < 10_000):
         raise LinkError(f"--home {text!r}: not a place on Earth (degrees, degrees, metres)")
-    if is_no_place(round(lat_deg * 1e7), round(lon_deg * 1e7)):
+    if is_nowhere(lat_deg, lon_deg):
         raise LinkError(f"--home {text!r}: {NOWHERE}")
     return LocalFrame(lat_deg, lon_deg, alt_amsl_m), heading_deg
 

@@ -28,7 +28,7 @@ from skygcs.cli.process import EXIT_FAILED, EXIT_OK, run_loop
 from skygcs.config.dialects import load_dialect
 from skygcs.config.files import read_named
 from skygcs.config.firmware import PROGRAMS, ArduPilot, Px4, find_ardupilot, find_px4
-from skygcs.core.geo import NOWHERE, is_no_place
+from skygcs.core.geo import NOWHERE, is_nowhere
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.param_file import parse
@@ -123,7 +123,7 @@ def parse_home(text: str) -> Home:
         raise LinkError(f"--home {text!r}: write LAT,LON,AMSL or LAT,LON,AMSL,HEADING") from None
     if not (abs(home.lat_deg) < 90 and abs(home.lon_deg) <= 180 and -500 <= home.alt_amsl_m < 9000):
         raise LinkError(f"--home {text!r}: not a place on Earth (degrees, degrees, metres)")
-    if is_no_place(round(home.lat_deg * 1e7), round(home.lon_deg * 1e7)):
+    if is_nowhere(home.lat_deg, home.lon_deg):
         raise LinkError(f"--home {text!r}: {NOWHERE}")
     return home
 

@@ -24,7 +24,7 @@ from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
 from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
-from skygcs.core.geo import EAST_DEG, NOWHERE, is_no_place
+from skygcs.core.geo import EAST_DEG, NOWHERE, is_nowhere
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
@@ -311,7 +311,7 @@ class SimulatedLinkConfig(RadioKeys, LinkCommon):
 
     @model_validator(mode="after")
     def _somewhere(self) -> SimulatedLinkConfig:
-        if is_no_place(round(self.lat_deg * 1e7), round(self.lon_deg * 1e7)):
+        if is_nowhere(self.lat_deg, self.lon_deg):
             raise ValueError(f"lat_deg and lon_deg: {NOWHERE}")
         return self
 

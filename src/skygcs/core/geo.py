@@ -53,6 +53,11 @@ def is_no_place(lat_e7: int, lon_e7: int) -> bool:
     return nowhere or NO_PLACE_E7 in (lat_e7, lon_e7)
 
 
+def is_nowhere(lat_deg: float, lon_deg: float) -> bool:
+    """True for a place at which a vehicle's position would count as not known."""
+    return is_no_place(round(lat_deg * 1e7), round(lon_deg * 1e7))
+
+
 @dataclass(frozen=True, slots=True)
 class Origin:
     """The point that is (0, 0, 0), and the compass heading of the x axis (90: east, so the world is plain ENU)."""

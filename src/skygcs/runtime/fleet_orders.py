@@ -458,15 +458,10 @@ class FleetOrders:
     async def _returns(
         self, given: Given, actors: list[VehicleActor], refusals: Mapping[Actor, str], arguments: dict[str, Any]
     ) -> dict[VehicleActor, Waiting]:
-        """Before the order to return: who has to wait, and for whom. A fault in that sends each home at once."""
+        """Before the order to return: who has to wait, and for whom."""
         at_end = arguments.pop("at_end", "hold")
         returning = [actor for actor in actors if actor not in refusals]
-        try:
-            return await self._returning.begin(returning, given.serial, at_end=at_end)
-        except Exception as error:
-            text = f"who waits for whom failed inside skygcs: {error!r}: each returns at once, by itself"
-            self._on_event(Event("fault", None, None, text, {}))
-            return {}
+        return await self._returning.begin(returning, given.serial, at_end=at_end)
 
     async def _takeoffs_ended(
         self, actors: list[VehicleActor], arguments: Mapping[str, Any], asked: dict[VehicleActor, Asked]

@@ -40,11 +40,13 @@ from typing import Literal
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
-from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import (
     AT_A_TURN,
+    MOVED_M,
+    STUCK_S,
     UNKNOWN,
     Departures,
+    Progress,
     ReturnHeight,
     Returning,
     departing,
@@ -69,15 +71,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 PERIOD_S = 0.5
-
-STUCK_S = 45.0
-"""While none of them has moved by `MOVED_M` or landed for so long, those that wait are given up. ArduCopter waits for
-RTL_LOIT_TIME above its home, 5 s by default, and a landing moves all the while."""
-
-OTHERS_S = 300.0
-"""Those that wait hover meanwhile: a fifth of what a small copter's battery holds, half of what it has left then."""
-
-MOVED_M = 1.0
 
 AGAIN_S = 5.0
 """After an order to one that waits which it did not take."""
@@ -172,9 +165,7 @@ class Returns:
         """Members that hold at the end of their return, for good."""
         self._frame: EnuFrame | None = None
         self._running: asyncio.Task[None] | None = None
-        self._moved_at = self._ours_moved_at = -math.inf
-        self._places: dict[int, Vector] = {}
-        """Where each member was when it last had moved."""
+        self._progress = Progress()
         self._given_up: dict[int, int] = {}
         """By key, the last order that had an effect as it was given up: until another one it returns when it is ordered
         to."""
@@ -188,9 +179,15 @@ class Returns:
     ) -> dict[VehicleActor, Waiting]:
         """Decide who of these has to wait. Those that are returned are to be given to `carry_out` now, and to `run`
         afterwards; the others are to be ordered to return now. Orders to return are decided in the order in which they
-        came, so that the last one counts. ``at_end``: what those do whose way does not become clear."""
-        async with self._deciding:
-            return await self._begin(actors, serial, at_end)
+        came, so that the last one counts. ``at_end``: what those do whose way does not become clear. After a fault here
+        each returns at once."""
+        self._fault = None
+        try:
+            async with self._deciding:
+                return await self._begin(actors, serial, at_end)
+        except Exception as error:
+            self._report_fault("who waits for whom: each returns at once, by itself; it", error)
+            return {}
 
     async def _begin(self, actors: Sequence[VehicleActor], serial: int, at_end: AtEnd) -> dict[VehicleActor, Waiting]:
         now = self._loop.time()
@@ -242,7 +239,7 @@ class Returns:
         for table in (self._homes, self._heights, self._seen):
             table.clear()
         self._staying.clear()
-        self._frame, self._fault = frame, None
+        self._frame = frame
 
     async def carry_out(self, waits: Waiting) -> Outcome:
         """The order to return of one of those of `begin`: it leaves, or holds until its way is clear. One that cannot
@@ -355,8 +352,8 @@ class Returns:
     # -- those that wait
 
     async def _bring_home(self) -> None:
-        self._places, self._moved_at = {}, self._loop.time()
-        self._ours_moved_at = whole_at = self._moved_at
+        whole_at = self._loop.time()
+        self._progress = Progress(whole_at)
         try:
             while self._waiting:
                 await asyncio.sleep(PERIOD_S)
@@ -384,7 +381,7 @@ class Returns:
             self._give_up([(waits, waits.told) for waits in self._waiting.values()])
 
     def _report_fault(self, what: str, error: Exception) -> None:
-        """The same one may come twice a second."""
+        """Report it once for each order to return: the same one may come twice a second."""
         if repr(error) != self._fault:
             self._fault = repr(error)
             self._on_event(Event("fault", None, None, f"{what} failed inside skygcs: {error!r}", {}))
@@ -508,7 +505,7 @@ class Returns:
             waiting, under_way = [one.as_seen() for one in waiting], [one.as_seen() for one in under_way]
         decided = await in_turns(departing(waiting, under_way, fixed, stays))
         if any(name in moving for names in decided.waits_for.values() for name in names):
-            self._moved_at = now
+            self._progress.moved_at = now
         self._fenced = tuple(sorted(self._members[key].name for key in decided.fenced))
         return decided
 
@@ -612,24 +609,15 @@ class Returns:
                 self._report(actor, "it holds at the end of its return: those that wait fly home above it, if at all")
 
     def _moves(self) -> bool:
-        """True if one of them has moved, or landed, in the last `STUCK_S`; those that others fly alone for `OTHERS_S`
-        at most."""
+        """True if one of them has moved, or landed, of late; see `Progress`."""
         now = self._loop.time()
         for key, actor in self._members.items():
             one = self._returning(actor, now)
             here = None if one is None or not is_flying(actor.vehicle, now) else one.here
-            last = self._places.get(key)
-            if (here is None) == (last is None) and not (here and last and math.dist(here, last) > MOVED_M):
-                continue
             left = now - self._left_at.get(key, -math.inf) < TAKES_S
-            if here is None or left or key in self._waiting or actor.vehicle.mode in COMING_HOME:
-                self._ours_moved_at = now
-            self._moved_at = now
-            if here is None:
-                del self._places[key]
-            else:
-                self._places[key] = here
-        return now - self._moved_at < STUCK_S and now - self._ours_moved_at < OTHERS_S
+            ours = left or key in self._waiting or actor.vehicle.mode in COMING_HOME
+            self._progress.note(key, here, now, ours=ours)
+        return self._progress.goes_on(now)
 
     def _give_up(self, stuck: Sequence[tuple[Waiting, Sequence[str]]]) -> None:
         """The ways of these do not become clear: what is left is a person's decision, or a landing where they are."""

@@ -70,7 +70,7 @@ class Alarms:
 
     def __init__(self) -> None:
         self.changes = 0
-        """Number of changes; `acknowledge` is none."""
+        """Number of changes. That a person has acknowledged an alarm is not counted."""
         self.displaced = 0
         """Alarms that made room for others."""
         self._by_key: dict[_Key, Alarm] = {}

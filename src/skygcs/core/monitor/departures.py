@@ -48,6 +48,16 @@ BRAKES_MPS2 = 2.0
 AT_A_TURN = 32
 """Ways that are made or compared before others have their turn: a millisecond, of a control period of 20."""
 
+STUCK_S = 45.0
+"""While none of them has moved by `MOVED_M` or landed for so long, those that wait are given up. ArduCopter waits for
+RTL_LOIT_TIME above its home, 5 s by default, and a landing moves all the while."""
+
+OTHERS_S = 300.0
+"""Those that wait hover meanwhile: a fifth of what a small copter's battery holds, half of what it has left then."""
+
+MOVED_M = 1.0
+"""Farther than one that hovers wanders by noise and gusts."""
+
 STANDS_MPS = 1.0
 """Faster than by wind and GPS noise: it still brakes, its space shrinks, and whether it gets by is judged then."""
 
@@ -175,6 +185,33 @@ class Departures:
     stuck: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     fenced: frozenset[int] = frozenset()
     """Those that would have to climb above their ceilings."""
+
+
+class Progress:
+    """When one of those that return, or of those in their way, has last moved or landed. ``begun_at``: the beginning,
+    which counts as such."""
+
+    def __init__(self, begun_at: float = -math.inf) -> None:
+        self.moved_at = self._ours_moved_at = begun_at
+        self._places: dict[int, Vector] = {}
+        """Where each was when it last had moved."""
+
+    def note(self, key: int, here: Vector | None, now: float, *, ours: bool) -> None:
+        """Note where one is; None: not in the air, or not known. ``ours``: it waits, or comes home."""
+        last = self._places.get(key)
+        if (here is None) == (last is None) and not (here and last and math.dist(here, last) > MOVED_M):
+            return
+        self.moved_at = now
+        if ours or here is None:
+            self._ours_moved_at = now
+        if here is None:
+            del self._places[key]
+        else:
+            self._places[key] = here
+
+    def goes_on(self, now: float) -> bool:
+        """True if one has moved in the last `STUCK_S`; if only those did that others fly, for `OTHERS_S` at most."""
+        return now - self.moved_at < STUCK_S and now - self._ours_moved_at < OTHERS_S
 
 
 def departing(
