@@ -22,8 +22,7 @@ from typing import Any, cast
 from fastcrc.crc16 import mcrf4xx
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.header import frame_size
+from skygcs.core.mavlink.frame import Frame, frame_size
 from skygcs.core.routing.decision import RouteNote
 from skygcs.events import Event
 from skygcs.links import fast_path

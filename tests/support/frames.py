@@ -11,8 +11,7 @@ from fastcrc.crc16 import mcrf4xx
 
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.header import MAGIC_V1, MAGIC_V2
+from skygcs.core.mavlink.frame import MAGIC_V1, MAGIC_V2, encode
 
 UNKNOWN_ID = 54321
 """In no dialect."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.mavlink.header import frame_size
+from skygcs.core.mavlink.frame import frame_size
 from support.frames import frame, heartbeat
 from support.process import DaemonProcess, free_port, wait_until
 

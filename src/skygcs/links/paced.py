@@ -9,8 +9,7 @@ from typing import Any
 
 from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import Frame, check
-from skygcs.core.mavlink.header import CRC_BYTES, HEADER_V2_BYTES, SIGNATURE_BYTES
+from skygcs.core.mavlink.frame import CRC_BYTES, HEADER_V2_BYTES, SIGNATURE_BYTES, Frame, check
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, GPS_RTCM_DATA, PARAM_VALUE
 from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecision, ThirdPartyRules, ThirdPartyTraffic
 from skygcs.core.radio_link.admission_frames import Kind, ThirdPartyFrame

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
-from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.header import SIGNATURE_BYTES
+from skygcs.core.mavlink.frame import SIGNATURE_BYTES, Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.radio_link.capacity import (

@@ -15,8 +15,7 @@ import re
 from typing import Literal, Protocol, overload
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import MAX_FRAME_BYTES, Frame, FrameVerdict, check
-from skygcs.core.mavlink.header import HEADER_BYTES, frame_size
+from skygcs.core.mavlink.frame import HEADER_BYTES, MAX_FRAME_BYTES, Frame, FrameVerdict, check, frame_size
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.tlog.timeline import CLOCK_STEP_US
 

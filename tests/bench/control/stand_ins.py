@@ -18,8 +18,7 @@ from typing import Any
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.header import HEADER_V2_BYTES
+from skygcs.core.mavlink.frame import HEADER_V2_BYTES, encode
 from skygcs.core.mavlink.modes import px4_custom_mode
 
 STATE_HZ = 50.0

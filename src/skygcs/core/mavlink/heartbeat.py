@@ -21,8 +21,7 @@ from __future__ import annotations
 from typing import Literal
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.header import HEADER_BYTES
+from skygcs.core.mavlink.frame import HEADER_BYTES, Frame
 from skygcs.core.mavlink.modes import SAFETY_ARMED
 from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, SET_MODE
 

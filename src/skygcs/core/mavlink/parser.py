@@ -18,14 +18,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import Frame, check
-from skygcs.core.mavlink.header import (
+from skygcs.core.mavlink.frame import (
     HEADER_V1_BYTES,
     HEADER_V2_BYTES,
     INCOMPAT_SIGNED,
     MAGIC_V1,
     MAGIC_V2,
+    Frame,
     Header,
+    check,
     crc_offset,
     decode_header,
     frame_size,

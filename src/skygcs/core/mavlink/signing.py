@@ -15,8 +15,15 @@ import hashlib
 import hmac
 from enum import StrEnum
 
-from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.header import CRC_BYTES, INCOMPAT_SIGNED, MAGIC_V2, SIGNATURE_BYTES, decode_header, mcrf4xx
+from skygcs.core.mavlink.frame import (
+    CRC_BYTES,
+    INCOMPAT_SIGNED,
+    MAGIC_V2,
+    SIGNATURE_BYTES,
+    Frame,
+    decode_header,
+    mcrf4xx,
+)
 
 KEY_BYTES = 32
 DIGEST_BYTES = 6

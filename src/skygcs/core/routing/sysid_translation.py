@@ -17,8 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.header import decode_header, encode_header, mcrf4xx
+from skygcs.core.mavlink.frame import Frame, decode_header, encode_header, mcrf4xx
 
 
 class SysidTranslator:

@@ -22,8 +22,7 @@ from itertools import pairwise
 from statistics import median
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import encode_payload
-from skygcs.core.mavlink.header import CRC_BYTES, HEADER_V2_BYTES
+from skygcs.core.mavlink.frame import CRC_BYTES, HEADER_V2_BYTES, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 
 FRAME_SIZES = (24, 64, 128, 252)

@@ -11,8 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import Frame, check, encode, encode_payload
-from skygcs.core.mavlink.header import frame_size, mcrf4xx
+from skygcs.core.mavlink.frame import Frame, check, encode, encode_payload, frame_size, mcrf4xx
 from skygcs.core.mavlink.parser import FrameParser
 from support.frames import dialect, frame, heartbeat, random_values, unknown_frame
 

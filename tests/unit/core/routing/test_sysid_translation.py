@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 
 from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.frame import Frame, encode
-from skygcs.core.mavlink.header import INCOMPAT_SIGNED
+from skygcs.core.mavlink.frame import INCOMPAT_SIGNED, Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import sign
 from skygcs.core.routing.sysid_translation import SysidTranslator, readdressed
