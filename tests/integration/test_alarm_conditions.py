@@ -15,7 +15,7 @@ from unittest import mock
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.alarms import kinds
+from skygcs.core import alarms
 from skygcs.runtime.recorder import TlogFiles
 from support.flown import Flown, aloft
 from support.planned import run, state, timed
@@ -267,6 +267,6 @@ async def gone_by(gcs: Flown, kind: str, name: str | None, within_s: float = 120
 
 
 def test_each_kind_is_made_here_or_in_the_test_that_is_named() -> None:
-    assert kinds.__doc__ is not None
-    named = {row.split()[0] for row in re.findall(r"^    [a-z]+ {3,}.*$", kinds.__doc__, re.MULTILINE)} - {"kind"}
+    assert alarms.__doc__ is not None
+    named = {row.split()[0] for row in re.findall(r"^    [a-z]+ {3,}.*$", alarms.__doc__, re.MULTILINE)} - {"kind"}
     assert named == set(CONDITIONS) | set(ELSEWHERE)

@@ -12,8 +12,7 @@ from typing import Any
 
 from skygcs.config.files import make_log_folder, open_regular, write_whole
 from skygcs.config.models import AlarmsConfig
-from skygcs.core.alarms.alarms import Alarm, Alarms
-from skygcs.core.alarms.kinds import OF_THE_PROCESS, RULES, Signal, VehicleFacts, battery, signals
+from skygcs.core.alarms import OF_THE_PROCESS, RULES, Alarm, Alarms, Signal, VehicleFacts, battery, signals
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event

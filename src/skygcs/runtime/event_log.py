@@ -9,7 +9,7 @@ from typing import Any
 
 import structlog
 
-from skygcs.core.alarms.kinds import VehicleFacts, signals
+from skygcs.core.alarms import VehicleFacts, signals
 from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.events import Event
 
@@ -21,7 +21,7 @@ QUIET_KINDS = frozenset({"statustext", "command", "route", "alarm"})
 """Kinds logged at level debug, because they are not changes of the daemon's own state."""
 
 WARNING_KINDS = frozenset({"warning", "undo"})
-"""Kinds logged at level warning, beside whatever raises an alarm (`core.alarms.kinds`)."""
+"""Kinds logged at level warning, beside whatever raises an alarm (`core.alarms`)."""
 
 Handler = Callable[[Event], None]
 Watcher = Callable[[dict[str, Any]], None]

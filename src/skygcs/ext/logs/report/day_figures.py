@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
-from skygcs.core.alarms.kinds import BEFORE_FLIGHT
+from skygcs.core.alarms import BEFORE_FLIGHT
 from skygcs.core.geo import Origin
 from skygcs.core.quantile import median
 from skygcs.core.vehicle.state import SEVERITY

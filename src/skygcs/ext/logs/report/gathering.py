@@ -14,7 +14,7 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from skygcs.config.files import open_regular
-from skygcs.core.alarms.alarms import Alarms
+from skygcs.core.alarms import Alarms
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.separation import Footprint

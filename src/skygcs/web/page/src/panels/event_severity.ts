@@ -20,7 +20,7 @@ const WARNINGS = new Set(["warning", "conflict", "link_down", "link_degraded", "
 
 const WARNING_RESULTS = new Set(["failed", "denied", "timeout", "lost", "refused", "unsupported"]);
 
-/** The same as the daemon's alarms have (core/alarms/kinds.py), and a severity for events that raise no alarm. `armed`: whether the
+/** The same as the daemon's alarms have (core/alarms.py), and a severity for events that raise no alarm. `armed`: whether the
  *  event's vehicle was armed as far as the page knows; null: it does not. */
 export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
   const { data } = event;

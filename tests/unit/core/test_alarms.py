@@ -9,8 +9,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.alarms.alarms import MAX_ALARMS, Alarms
-from skygcs.core.alarms.kinds import CONSEQUENCES, RULES, Signal, VehicleFacts, battery, signals
+from skygcs.core.alarms import CONSEQUENCES, MAX_ALARMS, RULES, Alarms, Signal, VehicleFacts, battery, signals
 from skygcs.events import Event
 from skygcs.rpc.client import EVENT_KINDS
 from support.table import each
