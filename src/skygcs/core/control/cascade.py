@@ -15,18 +15,20 @@ import math
 from dataclasses import dataclass, fields
 
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.control.pi import (
+from skygcs.core.control.record import record
+from skygcs.core.control.velocity_loop import (
     Horizontal,
     Vertical,
+    approach_speed,
     clip,
     filtered_slope,
+    grown,
+    grown_xy,
     horizontal,
     newest_weight,
     vertical,
     within,
 )
-from skygcs.core.control.record import record
-from skygcs.core.control.velocity_limiter import approach_speed, grown, grown_xy
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -241,7 +243,7 @@ def velocity_setpoint(
     dt_s: float,
     vel_ref_enu_mps: Vector | None = None,
 ) -> Vector:
-    """The velocity towards the reference, ``dt_s`` after ``before`` was asked for (`velocity_limiter`).
+    """The velocity towards the reference, ``dt_s`` after ``before`` was asked for (`velocity_loop`).
     ``vel_ref_enu_mps``: to take instead of the reference's own."""
     x, y, z = pos_enu_m
     x_ref, y_ref, z_ref = reference.pos_enu_m

@@ -81,7 +81,7 @@ class ControlConfig(_Derived):
     vel_z_max_mps: float = 10.0
     acc_xy_max_mps2: float | None = None
     """How fast the velocity towards a far reference builds up and what it brakes with before that, of the norm; None:
-    at once, as in the law this follows. Vehicles fly with one (`velocity_limiter`)."""
+    at once, as in the law this follows. Vehicles fly with one (`velocity_loop`)."""
     acc_z_max_mps2: float | None = None
     derivative_cutoff_hz: float = 5.0
     period_s: float = 0.02

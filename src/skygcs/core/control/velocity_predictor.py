@@ -24,8 +24,8 @@ from dataclasses import dataclass
 
 from skygcs.core.control.cascade import LARGEST_INPUT, ZERO, Estimate, Reference, Vector, velocity_setpoint
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.pi import clip, within
 from skygcs.core.control.record import record
+from skygcs.core.control.velocity_loop import clip, within
 
 MAX_COMMANDS = 64
 """Setpoints kept, the oldest are dropped first: 3.2 s at `MAX_RATE_HZ`."""

@@ -16,7 +16,7 @@ import math
 
 from skygcs.core.control.cascade import Quaternion, Vector, attitude_from_thrust, ned_frd_from_enu_flu
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.control.pi import within
+from skygcs.core.control.velocity_loop import within
 
 HANDOVER_S = 0.3
 """The attitude follows with 0.15 s: 86 % of the way."""

@@ -20,7 +20,7 @@ from collections import deque
 
 from skygcs.core.control.cascade import Estimate, Memory, Vector
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.control.pi import clip
+from skygcs.core.control.velocity_loop import clip
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.offboard_entry import boosts_thrust
 from skygcs.core.vehicle.setpoint import LEAST_BOOST_COSINE

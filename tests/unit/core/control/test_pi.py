@@ -5,7 +5,14 @@ import math
 import pytest
 
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.pi import clip, filtered_slope, horizontal, horizontal_limit, newest_weight, vertical
+from skygcs.core.control.velocity_loop import (
+    clip,
+    filtered_slope,
+    horizontal,
+    horizontal_limit,
+    newest_weight,
+    vertical,
+)
 from support.table import each
 
 CONFIG = ControlConfig()

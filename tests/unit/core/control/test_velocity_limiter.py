@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, step, velocity_step
 from skygcs.core.control.gains import GRAVITY_MPS2
-from skygcs.core.control.velocity_limiter import approach_speed, grown, grown_xy
+from skygcs.core.control.velocity_loop import approach_speed, grown, grown_xy
 from skygcs.errors import ConfigError
 from support.table import each
 
