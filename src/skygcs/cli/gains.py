@@ -41,8 +41,7 @@ from skygcs.core.control.gains import (
     AxisGains,
     ControlConfig,
 )
-from skygcs.core.control.predictor_margin import velocity_delay_range
-from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP
+from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP, velocity_delay_range
 from skygcs.errors import ConfigError
 
 if TYPE_CHECKING:

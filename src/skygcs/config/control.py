@@ -16,8 +16,7 @@ from skygcs.core.control.analysis import LEAST_DELAY_S, why_not_delay
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.guard import GuardConfig
-from skygcs.core.control.predictor_margin import why_not_predicted
-from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, MAX_RATE_HZ, PX4_LOOP
+from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, MAX_RATE_HZ, PX4_LOOP, why_not_predicted
 from skygcs.core.geo import Origin
 from skygcs.core.radio_link.capacity import FLOWN_HZ
 from skygcs.core.trajectory import MotionLimits

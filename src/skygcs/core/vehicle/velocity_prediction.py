@@ -3,7 +3,7 @@ Pure.
 
 not judged     the fleet file has no ``velocity_predictor``        velocity control without prediction
 refused        round trip not measured; position too seldom;       velocity control without prediction, if the guard
-               the delay margin does not hold (`predictor_margin`) lets it fly with this delay
+               the delay margin does not hold (`velocity_predictor`) lets it fly with this delay
 allowed        none of these                                       prediction, whatever ``velocity_delay_s`` says
 """
 
@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.predictor_margin import why_not_predicted
-from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP, VelocityLoop
+from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP, VelocityLoop, why_not_predicted
 from skygcs.core.vehicle.estimate_view import JUDGE_S, EstimateView
 from skygcs.core.vehicle.vehicle import Vehicle
 

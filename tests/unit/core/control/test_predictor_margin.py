@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 from skygcs.core.control.gains import AxisGains, ControlConfig
-from skygcs.core.control.predictor_margin import (
+from skygcs.core.control.velocity_predictor import (
+    ARDUCOPTER_LOOP,
+    DISTURBANCE_TIME_S,
+    OPPOSED,
+    PX4_LOOP,
     UNCERTAINTY,
     DelayRange,
     delay_range,
     velocity_delay_range,
     why_not_predicted,
 )
-from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, DISTURBANCE_TIME_S, OPPOSED, PX4_LOOP
 from support.examples import thinned
 from support.table import each
 
