@@ -6,8 +6,8 @@ import heapq
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from skygcs.core.mavlink.ftp_payload import Error, Op, Packet, decode, encode
 from skygcs.core.protocols.base import Effect, Send
+from skygcs.core.protocols.ftp import Error, Op, Packet, decode, encode
 from support.param_vehicle import Delays, Network
 
 

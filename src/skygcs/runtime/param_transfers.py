@@ -19,14 +19,13 @@ from typing import Any, TypeVar
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.ftp_payload import CAPABILITY_FTP, MESSAGE, decode
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
 from skygcs.core.params import pck
 from skygcs.core.params.names import other_name
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import MAX_TEXTS
-from skygcs.core.protocols.file_download import FileDownload, FileOutcome
+from skygcs.core.protocols.ftp import CAPABILITY_FTP, MESSAGE, FileDownload, FileOutcome, decode
 from skygcs.core.protocols.parameter import ABSENT_PROBES, ParameterProtocol, ParamOutcome
 from skygcs.core.protocols.parameter_list import (
     BYTES_PER_S,

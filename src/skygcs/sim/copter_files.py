@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from skygcs.core.mavlink.ftp_payload import MAX_DATA_BYTES, MESSAGE, Error, Op, Packet, decode, encode
+from skygcs.core.protocols.ftp import MAX_DATA_BYTES, MESSAGE, Error, Op, Packet, decode, encode
 from skygcs.sim import protocol as m
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle_state import VehicleState

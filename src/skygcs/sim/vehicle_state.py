@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping
 from math import hypot, inf, radians
 from typing import Any, Final
 
-from skygcs.core.mavlink import ftp_payload
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.protocols import ftp
 from skygcs.sim import protocol as m
 from skygcs.sim.battery import Battery
 from skygcs.sim.behaviours import Firmware, Reaction
@@ -271,22 +271,22 @@ class VehicleState(ABC):
     def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:
         """FILE_TRANSFER_PROTOCOL's payload. A vehicle without files ends sessions and has no such file, as PX4 answers
         for what is not there (mavlink_ftp.cpp: ENOENT becomes kErrFileNotFound); silence would make a client wait."""
-        request = ftp_payload.decode(b"\0\0\0" + payload)
-        if request is None or request.opcode in (ftp_payload.Op.ACK, ftp_payload.Op.NAK):
+        request = ftp.decode(b"\0\0\0" + payload)
+        if request is None or request.opcode in (ftp.Op.ACK, ftp.Op.NAK):
             return
-        ends = request.opcode in (0, ftp_payload.Op.TERMINATE_SESSION, ftp_payload.Op.RESET_SESSIONS)
-        known = request.opcode <= ftp_payload.Op.BURST_READ_FILE
-        error = ftp_payload.Error.FILE_NOT_FOUND if known else ftp_payload.Error.UNKNOWN_COMMAND
-        reply = ftp_payload.Packet(
+        ends = request.opcode in (0, ftp.Op.TERMINATE_SESSION, ftp.Op.RESET_SESSIONS)
+        known = request.opcode <= ftp.Op.BURST_READ_FILE
+        error = ftp.Error.FILE_NOT_FOUND if known else ftp.Error.UNKNOWN_COMMAND
+        reply = ftp.Packet(
             request.seq + 1 & 0xFFFF,
             request.session,
-            ftp_payload.Op.ACK if ends else ftp_payload.Op.NAK,
+            ftp.Op.ACK if ends else ftp.Op.NAK,
             b"" if ends else bytes([error]),
             req_opcode=request.opcode,
             offset=request.offset,
         )
         fields = {"target_system": sender[0], "target_component": sender[1]}
-        self.tx.send(ftp_payload.MESSAGE, {**fields, "payload": ftp_payload.encode(reply)})
+        self.tx.send(ftp.MESSAGE, {**fields, "payload": ftp.encode(reply)})
 
     @abstractmethod
     def begin_telemetry(self) -> Iterable[str]:

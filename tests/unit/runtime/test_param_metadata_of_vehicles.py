@@ -15,7 +15,7 @@ import pytest
 
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.protocols.file_download import FileOutcome
+from skygcs.core.protocols.ftp import FileOutcome
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime import param_metadata
 from skygcs.runtime.param_cache import ParamCache

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.mavlink.ftp_payload import MESSAGE
 from skygcs.core.params.compare import plan
 from skygcs.core.params.param_file import of_vehicle, parse, write
+from skygcs.core.protocols.ftp import MESSAGE
 from skygcs.runtime.param_cache import ParamCache
 from support.sim_field import SimField
 

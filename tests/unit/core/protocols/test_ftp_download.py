@@ -9,9 +9,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.ftp_payload import FRAME_BYTES, MAX_DATA_BYTES, Error, Op, Packet, decode, encode
 from skygcs.core.protocols.base import Effect, Finish, Send
-from skygcs.core.protocols.file_download import MAX_SESSIONS, MAX_TRIES, OPEN_TRIES, WINDOW, FileDownload
+from skygcs.core.protocols.ftp import (
+    FRAME_BYTES,
+    MAX_DATA_BYTES,
+    MAX_SESSIONS,
+    MAX_TRIES,
+    OPEN_TRIES,
+    WINDOW,
+    Error,
+    FileDownload,
+    Op,
+    Packet,
+    decode,
+    encode,
+)
 from support.examples import examples
 from support.ftp_server import FtpServer, FtpWire
 from support.param_vehicle import Network
