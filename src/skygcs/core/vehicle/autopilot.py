@@ -84,7 +84,6 @@ from dataclasses import dataclass, replace
 
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, POSITION_TARGET_GLOBAL_INT
-from skygcs.core.mavlink.type_masks import ALL, position_target_mask
 from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, Landing, ReturnEnd, TakeOff, VehicleClass
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.vehicle.order_plan import (
@@ -98,6 +97,7 @@ from skygcs.core.vehicle.order_plan import (
     Step,
     TargetProof,
 )
+from skygcs.core.vehicle.setpoint import ALL, position_target_mask
 from skygcs.core.vehicle.stick_modes import hazard
 from skygcs.core.vehicle.takeoff_height import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle

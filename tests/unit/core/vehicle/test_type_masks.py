@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from skygcs.core.mavlink.type_masks import ALL, ATTITUDE_AND_THRUST, NONE, position_target_mask
+from skygcs.core.vehicle.setpoint import ALL, ATTITUDE_AND_THRUST, NONE, position_target_mask
 from support.table import each
 
 AXES = list(itertools.product((False, True), repeat=3))
