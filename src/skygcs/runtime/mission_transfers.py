@@ -15,7 +15,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import EVENT as EVENT_ID
 from skygcs.core.mavlink.msgids import MISSION_CURRENT, MISSION_ITEM_REACHED
-from skygcs.core.mission.fence_items import FencePlan
+from skygcs.core.mission.fence import FencePlan
 from skygcs.core.mission.firmware_items import ItemChange, grouped
 from skygcs.core.mission.item import MissionItem, MissionType, item_of_seq
 from skygcs.core.mission.plan import MissionPlan, from_wire

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from math import hypot
 
-from skygcs.core.mission.fence_check import inside_polygon
-from skygcs.core.mission.fence_items import FencePlan
+from skygcs.core.mission.fence import FencePlan, inside_polygon
 from skygcs.sim.kinematics import LocalFrame
 
 

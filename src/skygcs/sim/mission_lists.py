@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Any, Protocol
 
-from skygcs.core.mission.fence_items import FencePlan, fence_from_items
+from skygcs.core.mission.fence import FencePlan, fence_from_items
 from skygcs.core.mission.item import GLOBAL_FRAMES, MissionItem, MissionType
 from skygcs.sim.behaviours import MissionRules
 from skygcs.sim.kinematics import Home, LocalFrame

@@ -17,7 +17,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import MAX_DISTANCE_M, MAX_HEIGHT_M, CheckLimits, Finding, check_plan, errors
-from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon
+from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon
 from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped
 from skygcs.core.mission.formats import Imported, read_plan
 from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAIN_ALT, MissionItem, MissionType

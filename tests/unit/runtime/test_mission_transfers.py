@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.mission.fence_items import FencePlan, FencePolygon
+from skygcs.core.mission.fence import FencePlan, FencePolygon
 from skygcs.core.mission.firmware_items import for_firmware, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from skygcs.core.geo import distance_m, swapped_hint
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mission.fence_check import FenceArea, fence_problems
+from skygcs.core.mission.fence import FenceArea, fence_problems
 from skygcs.core.mission.firmware_items import Family, convert, for_firmware, px4_order, refusals
 from skygcs.core.mission.item import (
     FENCE_COMMANDS,

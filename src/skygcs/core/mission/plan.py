@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mission.fence_items import FencePlan, fence_from_items, fence_items
+from skygcs.core.mission.fence import FencePlan, fence_from_items, fence_items
 from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, MissionItem, MissionType, item_of_seq, seq_of_item
 
 PLACELESS = frozenset(

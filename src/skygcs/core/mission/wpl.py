@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mission.fence_items import fence_from_items
+from skygcs.core.mission.fence import fence_from_items
 from skygcs.core.mission.item import (
     FENCE_COMMANDS,
     GLOBAL,

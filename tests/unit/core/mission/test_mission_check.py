@@ -10,8 +10,15 @@ from hypothesis import strategies as st
 from skygcs.config.dialects import load_dialect
 from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.mission.check import CheckLimits, Family, check_plan, errors
-from skygcs.core.mission.fence_check import MOST_DISTANCES, NEAR_STEP_M, FenceArea
-from skygcs.core.mission.fence_items import Corner, FenceCircle, FencePlan, FencePolygon
+from skygcs.core.mission.fence import (
+    MOST_DISTANCES,
+    NEAR_STEP_M,
+    Corner,
+    FenceArea,
+    FenceCircle,
+    FencePlan,
+    FencePolygon,
+)
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan, PlannedHome

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.geo import distance_m
-from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon, fence_from_items, fence_items
+from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon, fence_from_items, fence_items
 from skygcs.core.mission.formats import MAX_FILE_BYTES, Imported, format_of, read_plan, write_plan
 from skygcs.core.mission.item import UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings, from_wire, to_wire

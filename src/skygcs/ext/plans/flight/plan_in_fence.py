@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from skygcs.core.geo import distance_m
-from skygcs.core.mission.fence_check import FenceArea
-from skygcs.core.mission.fence_items import FencePlan
+from skygcs.core.mission.fence import FenceArea, FencePlan
 from skygcs.core.trajectory import Trajectory
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle.fence_params import FenceSettings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon
+from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon
 from skygcs.core.vehicle.fence_params import FenceSettings
 from skygcs.ext.plans.flight.flight_findings import Level
 from skygcs.ext.plans.flight.plan_in_fence import Reach, fence_finding
