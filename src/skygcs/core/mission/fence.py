@@ -4,7 +4,8 @@ positions they contain.
 A polygon is one item per corner; param1 of each is the number of corners. Nothing else separates one polygon from the
 next, so a wrong count would make another fence of the same items. It is refused here.
 
-Shapes are checked by plane geometry in metres around a corner of the fence: over the kilometres of a flying site the error is a millionth.
+Shapes are checked by plane geometry in metres around a corner of the fence: over the kilometres of a flying site the
+error is a millionth.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def _item(command: int, param1: float, corner: Corner, frame: int = GLOBAL, z: f
     return MissionItem(command, frame, (param1, 0.0, 0.0, 0.0), x, y, z)
 
 
-# --- checks ------------------------------------------------------------------------------------------------------------
+# --- checks -----------------------------------------------------------------------------------------------------------
 
 
 Point = tuple[float, float]

@@ -1,8 +1,8 @@
 """QGroundControl's JSON: .plan files, and the .mission files of its older versions.
 
 Complex items (survey, corridor scan, fixed-wing and VTOL landing, structure scan) are replaced by their simple items:
-those of a structure scan are computed (`structure_items`), those of the others are stored in the file. Written files contain
-simple items only, so a converted plan has lost its polygons and cameras.
+those of a structure scan are computed (`structure_items`), those of the others are stored in the file. Written files
+contain simple items only, so a converted plan has lost its polygons and cameras.
 
 Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html
 
@@ -131,7 +131,7 @@ def _action(command: int, p1: float = 0.0, p3: float = 0.0, p5: float = 0.0, p7:
     return MissionItem.from_params(command, MISSION_FRAME, (p1, 0.0, p3, 0.0, p5, 0.0, p7), True)
 
 
-# --- qgc --------------------------------------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------------------------------
 
 
 PLAN_VERSION = 1
