@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.mission.formats import read_wpl
 from skygcs.core.mission.item import MissionType
-from skygcs.core.mission.wpl import read_wpl
 from skygcs.core.ros import services
 from skygcs.core.ros.interfaces import ros1_interfaces, ros2_interfaces
 from skygcs.core.ros.mission_list import MissionList
