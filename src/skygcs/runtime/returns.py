@@ -40,6 +40,7 @@ from typing import Literal
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
+from skygcs.core.monitor.conflict_levels import COMING_HOME, LANDING
 from skygcs.core.monitor.departures import (
     AT_A_TURN,
     MOVED_M,
@@ -58,7 +59,6 @@ from skygcs.core.monitor.departures import (
 )
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.monitor.ways import Way, column, too_near
-from skygcs.core.monitor.yielding import COMING_HOME, LANDING
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.fence_params import CLEARANCE_M, NAMES, has_known_fence, known_ceiling_m
 from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, HomeWatch

@@ -15,7 +15,7 @@ from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
-from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
+from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, YIELDING_MODES
 from skygcs.core.monitor.departures import UNKNOWN, known_return_height
 from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
@@ -33,7 +33,6 @@ from skygcs.core.monitor.order_check import (
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
 from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
-from skygcs.core.monitor.yielding import YIELDING_MODES
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.geodetic_position import Setpoint

@@ -8,10 +8,10 @@ import random
 import pytest
 
 from skygcs.core.monitor.approach import Disc, Holder, arc, circle_conflict, gap_m, turn_radps
+from skygcs.core.monitor.conflict_levels import why_not_yield
 from skygcs.core.monitor.monitor import Monitor
 from skygcs.core.monitor.order_check import Mover, Other, climb_out_conflict, goto_conflict, takeoff_conflict
 from skygcs.core.monitor.tracks import Track
-from skygcs.core.monitor.yielding import why_not_yield
 from skygcs.core.separation import Footprint
 from support.table import each
 from support.watched_fleet import WatchedVehicle

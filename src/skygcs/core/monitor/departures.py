@@ -28,9 +28,9 @@ from typing import NamedTuple
 
 from skygcs.core.mavlink.vehicle_class import HeightParam
 from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.conflict_levels import COMING_HOME
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.monitor.ways import Leg, Way, column, needed_m, standing, too_near
-from skygcs.core.monitor.yielding import COMING_HOME
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.vehicle.vehicle import Vehicle
 

@@ -13,9 +13,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from skygcs.core.monitor.conflict_levels import HORIZON_S, HYSTERESIS, Conflict, Level, Pair, find_conflict, rank
+from skygcs.core.monitor.conflict_levels import (
+    HORIZON_S,
+    HYSTERESIS,
+    Conflict,
+    Level,
+    Pair,
+    find_conflict,
+    is_ranked_above,
+    rank,
+    who_holds,
+    why_not_yield,
+)
 from skygcs.core.monitor.tracks import Member, Track, TrackTable
-from skygcs.core.monitor.yielding import is_ranked_above, who_holds, why_not_yield
 from skygcs.core.separation import pair_margin, separation_m
 from skygcs.events import Event
 

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, Origin, ecef
 from skygcs.core.monitor.approach import Disc, Holder, Piece, Vector, circle_conflict, closest_on_paths
-from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
+from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, scaled_pieces
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
-from skygcs.core.monitor.yielding import scaled, scaled_pieces
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 
 GOTO_MPS = 5.0
