@@ -25,13 +25,15 @@ from skygcs.core.monitor.order_check import (
     Mover,
     Other,
     climb_out_conflict,
+    find_conflicts,
     goto_conflict,
     holding_disc,
+    of_track,
+    on_trajectory,
     setpoint_conflict,
     takeoff_conflict,
 )
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
-from skygcs.core.monitor.trajectory_check import find_conflicts, of_track, on_trajectory
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock

@@ -7,8 +7,7 @@ import random
 
 import pytest
 
-from skygcs.core.monitor import trajectory_check
-from skygcs.core.monitor.trajectory_check import Course, bow_m, find_conflicts
+from skygcs.core.monitor.order_check import Course, bow_m, find_conflicts
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock

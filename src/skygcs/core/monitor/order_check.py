@@ -4,20 +4,42 @@ The path of the order is a straight line, flown at once with `GOTO_MPS`, after w
 or stands in the air is taken to stay, what moves to fly straight on for the horizon, and what skygcs has sent somewhere
 to fly there and stay; one that may do either is given as two `Other`. That is a model: speeds differ, and the monitor
 goes on watching.
+
+Check whether vehicles that are about to follow trajectories come too close to others, or to each other, on all their
+way.
+
+Each vehicle has a course: its place at every time from now on. The others' courses are where they stand, the
+trajectories that they follow, the straight line to where skygcs has sent them, or straight on for the horizon.
+
+Two courses are compared by conservative advancement: while they are far enough apart, time goes on by as long as they
+need to meet at their largest speeds, so nothing is missed and little is looked at. Where they are near, it goes on by
+`STEP_S`; between two such times both fly a chord, and what a curve can bow out of it is taken off their distance.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from skygcs.core.geo import EnuFrame, Origin, ecef
-from skygcs.core.monitor.approach import Disc, Holder, Piece, Vector, circle_conflict, closest_on_paths
+from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
+from skygcs.core.monitor.approach import (
+    Disc,
+    Holder,
+    Piece,
+    Vector,
+    circle_conflict,
+    closest_approach,
+    closest_on_paths,
+)
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, scaled_pieces
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
 from skygcs.core.separation import Footprint, pair_margin, separation_m
+from skygcs.core.trajectory import TrajectoryClock
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
+from skygcs.core.vehicle.vehicle import Vehicle
 
 GOTO_MPS = 5.0
 """PX4's MPC_XY_CRUISE; ArduCopter's WPNAV_SPEED is 5 to 10 m/s by version."""
@@ -215,3 +237,181 @@ def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s:
         f"{mover.name} would come {separation:.1f} m near {track.name} ({where}){old}; they need {radius_m:.1f} m, "
         f"heights divided by {ratio:g}" + (FORGET.format(name=track.name) if track.lost else "")
     )
+
+
+# --- trajectory check -------------------------------------------------------------------------------------------------
+
+
+STEP_S = 0.25
+"""A curve of 3 m/s² bows by 0.02 m out of its chord."""
+
+LOOKS_A_TURN = 20
+"""Places compared before other tasks of the loop may get their turn: 0.2 ms."""
+
+
+MAX_LOOKS = 2_000_000
+"""Comparisons of places in one check: some 20 s of CPU time, which 50 vehicles need that fly in formation for an
+hour."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How one vehicle will fly."""
+
+    key: int
+    name: str
+    footprint: Footprint
+    at: Callable[[float], Vector]
+    """Its place so many seconds from now, in a frame that is common to all."""
+    speed_mps: float
+    """At most."""
+    bow_m: float = 0.0
+    """How far it may be from the chord of two places `STEP_S` apart."""
+    ball_m: float = 0.0
+    """How far it may be from its place, because its last position is old."""
+    known_s: float = math.inf
+    """Time for which the course is known; nothing is known after it."""
+    doing: str = "in the air"
+
+
+def bow_m(loaded: LoadedTrajectory, speed_factor: float, brake_mps2: float) -> float:
+    """How far a trajectory may be from its chord of `STEP_S`: a·h²/8, and h/4 for each jump of its velocity; never more
+    than is flown in half of that time. ``brake_mps2``: what a ramp of its clock adds."""
+    peaks = loaded.peaks
+    speed_mps = peaks.speed_mps.at_most * speed_factor
+    acceleration_mps2 = peaks.acceleration_mps2.at_most * speed_factor * speed_factor + brake_mps2
+    jump_mps = max(loaded.velocity_jump_mps, loaded.first_speed_mps, loaded.last_speed_mps) * speed_factor
+    shortest_s = min(piece.duration_s for piece in loaded.trajectory.pieces) / speed_factor
+    bent_m = STEP_S * STEP_S * acceleration_mps2 / 8.0 + (2.0 + STEP_S / shortest_s) * STEP_S * jump_mps / 4.0
+    return min(bent_m, STEP_S * speed_mps / 2.0)
+
+
+def on_trajectory(
+    vehicle: Vehicle,
+    footprint: Footprint,
+    loaded: LoadedTrajectory,
+    clock: TrajectoryClock,
+    at: Callable[[float], Vector],
+) -> Course:
+    """The course of a vehicle that follows a trajectory, or is about to."""
+    fastest = max(clock.speed_factor, clock.latest_rate)
+    return Course(
+        vehicle.key,
+        vehicle.name,
+        footprint,
+        at,
+        loaded.peaks.speed_mps.at_most * fastest,
+        bow_m(loaded, fastest, clock.rate_limit_per_s * loaded.peaks.speed_mps.at_most),
+        doing="on its trajectory",
+    )
+
+
+def of_track(track: Track, destination: Place | None, frame: EnuFrame, now: float) -> Course:
+    """The course of a vehicle that is watched: it stands, flies to where skygcs has sent it and stays, or flies
+    straight on for the horizon. ``frame``: the common one."""
+    reported = frame.from_ecef(track.ecef_m)
+    if track.parked:
+        return Course(track.key, track.name, track.footprint, lambda _: reported, 0.0, doing="parked")
+    # what flies or was lost: moved on by the age of its report
+    age_s = min(max(0.0, now - track.at), TRACK_SILENT_S)
+    ball_m = track.footprint.ball_m(max(0.0, age_s - FRESH_S))
+    velocity = world_from_enu(track.reported_mps, frame.origin)
+    speed_mps = math.hypot(*velocity)
+    here = _moved(reported, velocity, age_s)
+    if track.lost:
+        doing = "lost in the air" + FORGET.format(name=track.name)
+        return Course(track.key, track.name, track.footprint, lambda _: here, 0.0, ball_m=ball_m, doing=doing)
+    if destination is not None:
+        end = frame.from_geodetic(*destination)
+        away_m, flown_mps = math.dist(here, end), max(speed_mps, GOTO_MPS)
+        along = _divided((end[0] - here[0], end[1] - here[1], end[2] - here[2]), max(away_m, NEARER_M) / flown_mps)
+
+        def at(after_s: float) -> Vector:
+            return end if flown_mps * after_s >= away_m else _moved(here, along, after_s)
+
+        return Course(track.key, track.name, track.footprint, at, flown_mps, ball_m=ball_m, doing="sent there")
+    # no destination: it hovers, or flies straight on
+    if speed_mps <= 2 * NOISE_MPS:
+        return Course(track.key, track.name, track.footprint, lambda _: here, 0.0, ball_m=ball_m)
+    return Course(
+        track.key,
+        track.name,
+        track.footprint,
+        lambda after_s: _moved(here, velocity, after_s),
+        speed_mps,
+        ball_m=ball_m,
+        known_s=HORIZON_S,
+    )
+
+
+def _moved(place: Vector, velocity: Vector, for_s: float) -> Vector:
+    return place[0] + velocity[0] * for_s, place[1] + velocity[1] * for_s, place[2] + velocity[2] * for_s
+
+
+def _divided(vector: Vector, by: float) -> Vector:
+    return vector[0] / by, vector[1] / by, vector[2] / by
+
+
+def find_conflicts(
+    movers: Sequence[Course], others: Sequence[Course], end_s: float, found: dict[int, str]
+) -> Iterator[None]:
+    """Put into ``found``, by key of the mover, with which vehicle and when its course conflicts until ``end_s``, after
+    which all stand still. Yields where other tasks of the loop may get their turn."""
+    looks = itertools.count(1)
+    for i, mover in enumerate(movers):
+        worst_m = math.inf
+        for other in (*others, *movers[:i], *movers[i + 1 :]):
+            near = yield from _nearest(mover, other, end_s, looks)
+            if near is not None and near[0] < worst_m:
+                worst_m, at_s, need_m = near
+                ratio = pair_margin(mover.footprint, other.footprint).downwash_ratio
+                found[mover.key] = (
+                    f"{mover.name} would come {worst_m:.1f} m near {other.name} ({other.doing}) in {at_s:.1f} s; "
+                    f"they need {need_m:.1f} m, heights divided by {ratio:g}"
+                )
+    if next(looks) > MAX_LOOKS:
+        for mover in movers:
+            found.setdefault(mover.key, "so many long trajectories, so near each other, are too much to be checked")
+
+
+def _nearest(
+    a: Course, b: Course, end_s: float, count: Iterator[int]
+) -> Generator[None, None, tuple[float, float, float] | None]:
+    """Returns (distance, when, what they need) where two come nearest, if that is too near; or None."""
+    # what they need, and how fast they can come nearer
+    margin = pair_margin(a.footprint, b.footprint)
+    need_m, ratio = margin.total_m + a.ball_m + b.ball_m, margin.downwash_ratio
+    bow = a.bow_m + b.bow_m
+    closing_mps = a.speed_mps + b.speed_mps
+    end_s = min(end_s, a.known_s, b.known_s)
+    here = _offset(a, b, 0.0, ratio)
+    begun_m = separation_m(*here, 1.0)
+    least_m, least_s, t = begun_m, 0.0, 0.0
+    # where they are far apart one stride, near each other closed steps of STEP_S
+    while t < end_s:
+        looks = next(count)
+        if looks % LOOKS_A_TURN == 0:
+            yield
+        if looks > MAX_LOOKS:
+            return None
+        spare_m = separation_m(*here, 1.0) - min(need_m, least_m) - bow
+        if spare_m > closing_mps * STEP_S:
+            t += spare_m / closing_mps if closing_mps > 0.0 else end_s
+            here = _offset(a, b, min(t, end_s), ratio)
+            continue
+        step_s = min(STEP_S, end_s - t)
+        there = _offset(a, b, t + step_s, ratio)
+        velocity = tuple((q - p) / step_s for p, q in zip(here, there, strict=True))
+        near = closest_approach(here, (velocity[0], velocity[1], velocity[2]), need_m, step_s)
+        if near.separation_m - bow < least_m:
+            least_m, least_s = max(0.0, near.separation_m - bow), t + near.at_s
+        here, t = there, t + step_s
+    if least_m >= need_m or (begun_m < need_m and least_m > begun_m - NEARER_M):
+        return None
+    return least_m, least_s, need_m
+
+
+def _offset(a: Course, b: Course, at_s: float, ratio: float) -> Vector:
+    """Offset of the second from the first, in the metric of the margin."""
+    p, q = a.at(at_s), b.at(at_s)
+    return q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio
