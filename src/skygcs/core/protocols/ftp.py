@@ -38,8 +38,7 @@ import struct
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
 
-from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send
-from skygcs.core.protocols.sliding_window import SlidingWindow
+from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send, SlidingWindow
 
 MESSAGE = "FILE_TRANSFER_PROTOCOL"
 

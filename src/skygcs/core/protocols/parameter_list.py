@@ -33,9 +33,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, ParamType, ParamValue
-from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send
+from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send, SlidingWindow
 from skygcs.core.protocols.parameter import LATE_VALUE_S
-from skygcs.core.protocols.sliding_window import SlidingWindow
 
 VALUE_BYTES = 37
 """PARAM_VALUE as a whole MAVLink 2 frame, which is what a request brings down."""

@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.protocols.sliding_window import FIRST_WAIT_S, MAX_WAIT_S, MIN_WAIT_S, ReplyTimeout, SlidingWindow
+from skygcs.core.protocols.base import FIRST_WAIT_S, MAX_WAIT_S, MIN_WAIT_S, ReplyTimeout, SlidingWindow
 
 
 class Numbers:
