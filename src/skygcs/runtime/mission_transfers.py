@@ -26,11 +26,11 @@ from skygcs.core.protocols.mission import (
     ACCEPTED,
     ANSWERS,
     MissionClear,
+    MissionDownload,
     MissionOutcome,
     MissionProtocol,
     opaque_id,
 )
-from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import standing

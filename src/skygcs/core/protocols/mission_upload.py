@@ -44,12 +44,12 @@ from skygcs.core.protocols.mission import (
     MAX_TRIES,
     OPERATION_CANCELLED,
     ListState,
+    MissionDownload,
     MissionProtocol,
     RoundTrip,
     item_values,
     meaning_of,
 )
-from skygcs.core.protocols.mission_download import MissionDownload
 
 MAX_ROUNDS = 5
 """Offers from the beginning. A round fails when the vehicle gives up, or when its last ack was lost and it holds

@@ -10,9 +10,15 @@ from hypothesis import strategies as st
 
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.protocols.base import Finish, Send
-from skygcs.core.protocols.mission import CLEAR_TRIES, MAX_TRIES, MissionClear, MissionOutcome, opaque_id
-from skygcs.core.protocols.mission_download import MAX_ROUNDS as DOWNLOAD_ROUNDS
-from skygcs.core.protocols.mission_download import MissionDownload
+from skygcs.core.protocols.mission import (
+    CLEAR_TRIES,
+    MAX_TRIES,
+    MissionClear,
+    MissionDownload,
+    MissionOutcome,
+    opaque_id,
+)
+from skygcs.core.protocols.mission import MAX_ROUNDS as DOWNLOAD_ROUNDS
 from skygcs.core.protocols.mission_upload import ANSWERS_PER_ITEM, LINGER_S, MAX_ROUNDS, SILENCE_S, MissionUpload
 from support.examples import examples
 from support.frames import dialect

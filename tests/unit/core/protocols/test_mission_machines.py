@@ -10,9 +10,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.protocols.base import Effect, Finish, Send
-from skygcs.core.protocols.mission import MAX_TRIES, MissionClear, MissionProtocol
-from skygcs.core.protocols.mission_download import MAX_ROUNDS as DOWNLOAD_ROUNDS
-from skygcs.core.protocols.mission_download import MissionDownload
+from skygcs.core.protocols.mission import MAX_ROUNDS as DOWNLOAD_ROUNDS
+from skygcs.core.protocols.mission import MAX_TRIES, MissionClear, MissionDownload, MissionProtocol
 from skygcs.core.protocols.mission_upload import ANSWERS_PER_ITEM, MAX_ROUNDS, MissionUpload
 from support.examples import examples
 from support.table import each
