@@ -5,7 +5,7 @@ same id waits. If the previous one has acks outstanding (repeats, or a timeout),
 for `LATE_ACK_S` after the last transmission (and always for `ECHO_ACK_S`), so that a late ack is not taken for the new
 command's. An emergency does not wait; its outcome is decided by the vehicle's state, not by an ack.
 
-What is repeated, and over which link, is in `core.protocols.command_repeats`.
+What is repeated, and over which link, is in `core.protocols.command`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from skygcs.core.protocols.command import (
     CommandProtocol,
     CommandSpec,
     Outcome,
+    Repeat,
+    repeat_rule,
 )
-from skygcs.core.protocols.command_repeats import Repeat, repeat_rule
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import Clearance, is_exempt
 from skygcs.runtime.loop_clock import DeadlineTimer
