@@ -19,7 +19,6 @@ from skygcs.core.mission.fence import FencePlan
 from skygcs.core.mission.firmware_items import ItemChange, grouped
 from skygcs.core.mission.item import MissionItem, MissionType, item_of_seq
 from skygcs.core.mission.plan import MissionPlan, from_wire
-from skygcs.core.mission.px4_events import EVENT, rejection
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S, Outcome
 from skygcs.core.protocols.mission import (
@@ -31,7 +30,7 @@ from skygcs.core.protocols.mission import (
     MissionProtocol,
     opaque_id,
 )
-from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
+from skygcs.core.protocols.mission_upload import EVENT, LINGER_S, MissionUpload, rejection
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.mission_orders import (

@@ -15,7 +15,7 @@ from skygcs.core.mission.fence import FencePlan, FencePolygon
 from skygcs.core.mission.firmware_items import for_firmware, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
-from skygcs.core.mission.px4_events import event_id
+from skygcs.core.protocols.mission_upload import event_id
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.mission_transfers import MAX_WAITING

@@ -34,17 +34,28 @@ too, as the protocol asks. An ack that accepts before the last item was asked fo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum, auto
 from typing import Any
+
 from skygcs.core.mission.firmware_items import Family, same_start
 from skygcs.core.mission.item import MAX_ITEMS, MissionItem, MissionType
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import SETTLE_S
-from skygcs.core.protocols.mission import ACCEPTED, ERROR, INVALID_SEQUENCE, MAX_TRIES, OPERATION_CANCELLED, ListState, MissionDownload, MissionProtocol, RoundTrip, item_values, meaning_of
-
+from skygcs.core.protocols.mission import (
+    ACCEPTED,
+    ERROR,
+    INVALID_SEQUENCE,
+    MAX_TRIES,
+    OPERATION_CANCELLED,
+    ListState,
+    MissionDownload,
+    MissionProtocol,
+    RoundTrip,
+    item_values,
+    meaning_of,
+)
 
 EVENT = "EVENT"
 

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as every_dialect
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.mav_cmd import NAV_RALLY_POINT
-from skygcs.core.mission import firmware_items, px4_events
+from skygcs.core.mission import firmware_items
 from skygcs.core.mission.check import check_plan, errors
 from skygcs.core.mission.firmware_items import (
     Family,
@@ -27,6 +27,7 @@ from skygcs.core.mission.firmware_items import (
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FENCE_COMMANDS, UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, to_wire
+from skygcs.core.protocols import mission_upload
 from skygcs.sim import copter_lists, px4_lists
 from support.table import each
 
@@ -233,10 +234,10 @@ def test_changes_of_a_kind_are_one_line() -> None:
 
 def test_events_by_which_a_px4_rejects_a_mission() -> None:
     """The ids are those that a PX4 1.16.1 sent for such missions."""
-    assert px4_events.rejection(33440290) == "the take-off is not the first item with a position"
-    assert px4_events.rejection(25552931) == "a command that it does not fly"
-    assert px4_events.rejection(1) is None and px4_events.rejection(0) is None
-    ids = [px4_events.event_id(name) for name in px4_events.REASONS]
+    assert mission_upload.rejection(33440290) == "the take-off is not the first item with a position"
+    assert mission_upload.rejection(25552931) == "a command that it does not fly"
+    assert mission_upload.rejection(1) is None and mission_upload.rejection(0) is None
+    ids = [mission_upload.event_id(name) for name in mission_upload.REASONS]
     assert len(set(ids)) == len(ids) and all(1 << 24 <= number < 1 << 25 for number in ids)
 
 
