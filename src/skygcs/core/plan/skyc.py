@@ -33,8 +33,7 @@ from skygcs.core.plan.file_reading import (
 )
 from skygcs.core.plan.skyc_yaw import with_yaw, yaw_control
 from skygcs.core.trajectory import Piece, Trajectory
-from skygcs.core.trajectory.bernstein import from_power, to_power
-from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_DURATION_S, MAX_PIECES, MIN_PIECE_S
+from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_DURATION_S, MAX_PIECES, MIN_PIECE_S, from_power, to_power
 from skygcs.errors import PlanFileError, TrajectoryError
 
 MAX_MEMBERS = 4096

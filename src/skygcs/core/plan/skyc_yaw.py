@@ -18,8 +18,14 @@ from typing import Any
 
 from skygcs.core.plan.file_reading import number_of
 from skygcs.core.trajectory import Piece, Trajectory
-from skygcs.core.trajectory.bernstein import derivative, from_power
-from skygcs.core.trajectory.piecewise import MAX_DURATION_S, MAX_PIECES, MIN_PIECE_S, Coefficients
+from skygcs.core.trajectory.piecewise import (
+    MAX_DURATION_S,
+    MAX_PIECES,
+    MIN_PIECE_S,
+    Coefficients,
+    derivative,
+    from_power,
+)
 from skygcs.core.trajectory.splitting import split_at
 from skygcs.errors import PlanFileError
 

@@ -14,8 +14,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
-from skygcs.core.trajectory.bernstein import UNIT_ROUNDOFF, derivative, error_bound, from_power, halves, product
-from skygcs.core.trajectory.piecewise import Piece, Trajectory, Vector
+from skygcs.core.trajectory.piecewise import (
+    UNIT_ROUNDOFF,
+    Piece,
+    Trajectory,
+    Vector,
+    derivative,
+    error_bound,
+    from_power,
+    halves,
+    product,
+)
 from skygcs.errors import TrajectoryError
 
 TOLERANCE = 1e-6

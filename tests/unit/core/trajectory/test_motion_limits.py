@@ -15,7 +15,7 @@ from skygcs.core.trajectory import (
     require_within,
     within_at_speed,
 )
-from skygcs.core.trajectory.bernstein import derivative, error_bound, from_power, halves, product, to_power
+from skygcs.core.trajectory.piecewise import derivative, error_bound, from_power, halves, product, to_power
 from skygcs.errors import TrajectoryError
 from support.examples import examples
 from support.table import each
