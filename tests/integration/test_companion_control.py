@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.trajectory import ClockState
-from skygcs.core.trajectory.replicated_clock import MAX_NOTED
+from skygcs.core.trajectory.trajectory_clock import MAX_NOTED
 from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, circle_pieces, companion_pair, start_circle

@@ -19,8 +19,7 @@ from skygcs.core.separation import separation_m
 from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, TrajectoryClock, motion_peaks
 from skygcs.core.trajectory.motion_limits import SLACK, Box, bounding_box
 from skygcs.core.trajectory.piecewise import joints, require_continuous
-from skygcs.core.trajectory.replicated_clock import ReplicatedClock
-from skygcs.core.trajectory.trajectory_clock import AT_REST_MPS, rate_limit
+from skygcs.core.trajectory.trajectory_clock import AT_REST_MPS, ReplicatedClock, rate_limit
 from skygcs.errors import ConfigError, RefusedError
 
 BASE_M = 1000.0

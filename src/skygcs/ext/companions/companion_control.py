@@ -25,7 +25,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.trajectory.replicated_clock import ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.trajectory_clock import ClockOrder, ReplicatedClock
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint

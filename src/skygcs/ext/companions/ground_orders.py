@@ -18,7 +18,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import Trajectory
-from skygcs.core.trajectory.replicated_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.trajectory_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
 from skygcs.events import Event

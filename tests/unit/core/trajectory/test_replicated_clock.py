@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from skygcs.core.trajectory import ClockState
-from skygcs.core.trajectory.replicated_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
+from skygcs.core.trajectory.trajectory_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
 from skygcs.errors import RefusedError
 
 LEAD_S = 0.8

@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.trajectory.replicated_clock import ClockOrder
+from skygcs.core.trajectory.trajectory_clock import ClockOrder
 from skygcs.ext.companions.ground_orders import GroundOrders
 
 IDS = 255, 25
