@@ -15,7 +15,7 @@ from skygcs.config.dialects import offline_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, SerialLinkConfig
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.decision import RouteNote
+from skygcs.core.routing.routing_table import RouteNote
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, LinkError, RefusedError
 from skygcs.rpc.client import connect

@@ -23,7 +23,7 @@ from fastcrc.crc16 import mcrf4xx
 
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame, frame_size
-from skygcs.core.routing.decision import RouteNote
+from skygcs.core.routing.routing_table import RouteNote
 from skygcs.events import Event
 from skygcs.links import fast_path
 from skygcs.links.address import Address

@@ -8,9 +8,9 @@ from typing import Any
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing.decision import Decision, RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy
 from skygcs.core.routing.router import Router
+from skygcs.core.routing.routing_table import Decision, RoutingVerdict
 
 DIALECT = load_dialect(("ardupilotmega", "px4-extras"))
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.router import Router
+from skygcs.core.routing.routing_table import RoutingVerdict
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.links.base import Channel, ForwardingPath, StateUpdate
 from skygcs.runtime.fleet import Fleet

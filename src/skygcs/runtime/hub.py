@@ -18,8 +18,8 @@ from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.router import Router
+from skygcs.core.routing.routing_table import RoutingVerdict
 from skygcs.core.routing.send_gates import NO_TARGET, SendGates, target_of
 from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.core.vehicle.gate import Clearance, is_exempt, standing

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from skygcs.config.checks import endpoint_text
-from skygcs.core.routing.decision import RouteNote
-from skygcs.core.routing.routing_table import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
+from skygcs.core.routing.routing_table import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES, RouteNote
 from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet

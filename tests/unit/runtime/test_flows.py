@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.routing.decision import RoutingVerdict
+from skygcs.core.routing.routing_table import RoutingVerdict
 from skygcs.links.base import ForwardingPath
 from skygcs.runtime.flows import Flows
 from support.plain_hub import HubBench, PlainChannel

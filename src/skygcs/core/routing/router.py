@@ -42,11 +42,20 @@ import struct
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S, discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS, SYSTEM_TIME
-from skygcs.core.routing.channel import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
-from skygcs.core.routing.decision import Decision, ForwardingEntry, RoutingVerdict
 from skygcs.core.routing.duplicates import CHANNEL_SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.routing.filters import ChannelPolicy
-from skygcs.core.routing.routing_table import MAX_NOTES, RoutingTable
+from skygcs.core.routing.routing_table import (
+    KIND_BITS,
+    MAX_NOTES,
+    OF_RADIO,
+    TELEMETRY,
+    UNKNOWN_ID,
+    Decision,
+    ForwardingEntry,
+    Port,
+    RoutingTable,
+    RoutingVerdict,
+)
 from skygcs.core.routing.source_selection import SourceSelection
 
 CONFLICT_QUIET_S = 60.0

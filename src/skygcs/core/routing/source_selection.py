@@ -15,9 +15,7 @@ from collections.abc import Callable
 from functools import partial
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.routing.channel import Port
-from skygcs.core.routing.decision import RouteNote
-from skygcs.core.routing.routing_table import RoutingTable
+from skygcs.core.routing.routing_table import Port, RouteNote, RoutingTable
 from skygcs.core.routing.state_source import Known, SourceReport, StateSource
 
 FORGOTTEN_S = 10.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+from skygcs.core.routing.routing_table import RoutingVerdict
 from support.examples import examples
 from support.routed import RoutedNet, five_ports, heartbeat, message
 

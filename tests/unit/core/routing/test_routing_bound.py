@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+from skygcs.core.routing.routing_table import RoutingVerdict
 from support.frames import unknown_frame
 from support.routed import RoutedNet, heartbeat, message
 from support.table import each

@@ -8,9 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy
-from skygcs.core.routing.routing_table import KEPT_ROUTES, MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES, ROUTE_NOTES
+from skygcs.core.routing.routing_table import (
+    KEPT_ROUTES,
+    MAX_CHANNEL_ROUTES,
+    MAX_LINK_ROUTES,
+    ROUTE_NOTES,
+    RoutingVerdict,
+)
 from support.examples import examples
 from support.routed import RoutedNet, heartbeat, message
 
