@@ -15,7 +15,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Ack, CommandSpec, Outcome
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.component import Component
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.gate import clear_command
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.snapshot import reading_of

@@ -18,7 +18,7 @@ from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, targets
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly

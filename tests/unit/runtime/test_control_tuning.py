@@ -12,7 +12,7 @@ from skygcs.config.control import ControlSettings
 from skygcs.core.control.analysis import bearable_delay_s
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.radio_link.capacity import FRAME_BYTES
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.offboard_controller import OffboardController
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.config.control import ControlSettings
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, geodetic_from_enu
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError

@@ -10,7 +10,7 @@ from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import AUTOPILOT_INVALID
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.message_cache import Slot
 from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
 

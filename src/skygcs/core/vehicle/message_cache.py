@@ -9,8 +9,7 @@ import operator
 from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import GROUPS, TelemetryGroup, TelemetryGroupSpec
+from skygcs.core.vehicle.decoding import GROUPS, Decoder, TelemetryGroup, TelemetryGroupSpec
 
 SMOOTHING = 0.4
 """Weight of the newest second in a rate: sampled once a second, a 1 Hz message is counted 0, 1 or 2 times."""

@@ -27,9 +27,13 @@ from skygcs.core.mavlink.vehicle_class import (
 )
 from skygcs.core.protocols.command import IN_PROGRESS, Ack
 from skygcs.core.vehicle.boot import BootClock
-from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import TelemetryGroup
-from skygcs.core.vehicle.firmware import banner_program, firmware_from_banner, firmware_from_version
+from skygcs.core.vehicle.decoding import (
+    Decoder,
+    TelemetryGroup,
+    banner_program,
+    firmware_from_banner,
+    firmware_from_version,
+)
 from skygcs.core.vehicle.message_cache import MessageCache, Slot
 from skygcs.core.vehicle.shared_ids import Finding, SharedIds
 from skygcs.core.vehicle.state import (

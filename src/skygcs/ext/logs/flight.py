@@ -14,9 +14,17 @@ from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.boot import BootClock
-from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import TelemetryGroup, decode_battery, decode_gps, decode_local, decode_position
-from skygcs.core.vehicle.firmware import banner_program, firmware_from_banner, firmware_from_version
+from skygcs.core.vehicle.decoding import (
+    Decoder,
+    TelemetryGroup,
+    banner_program,
+    decode_battery,
+    decode_gps,
+    decode_local,
+    decode_position,
+    firmware_from_banner,
+    firmware_from_version,
+)
 from skygcs.core.vehicle.state import AIRBORNE, FAILSAFE_STATUS, LANDED, STANDBY, name_of
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.ext.logs.curves import MOST_SPANS, Curve, LossCurve, Track

@@ -15,8 +15,8 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import (
+    Decoder,
     decode_attitude,
     decode_battery,
     decode_gps,

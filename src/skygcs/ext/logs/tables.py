@@ -9,8 +9,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.modes import mode_name
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import TelemetryGroup, decode_attitude, decode_position
+from skygcs.core.vehicle.decoding import Decoder, TelemetryGroup, decode_attitude, decode_position
 from skygcs.terminal_text import visible
 from skygcs.tlog.format import LogEntry
 

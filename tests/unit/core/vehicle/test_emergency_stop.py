@@ -7,7 +7,7 @@ import math
 import pytest
 
 from skygcs.core.vehicle import stop
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.table import each

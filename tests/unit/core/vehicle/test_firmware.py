@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
+from skygcs.core.vehicle.decoding import firmware_from_banner, firmware_from_version
 from support.table import each
 
 

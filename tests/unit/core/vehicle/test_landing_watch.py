@@ -7,7 +7,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.flight_evidence import FALL_S, LandingWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each

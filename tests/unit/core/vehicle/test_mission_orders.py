@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import GLOBAL
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.mission_orders import (
     ALONE,
     HOLD_S,

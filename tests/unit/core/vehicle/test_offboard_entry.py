@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import offboard_entry
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.order_plan import ParamKnown
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each

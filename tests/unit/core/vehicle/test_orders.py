@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.geo import Origin, distance_m
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle import origin as origins
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.table import each

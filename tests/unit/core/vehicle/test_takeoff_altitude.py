@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.geo import Origin
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each

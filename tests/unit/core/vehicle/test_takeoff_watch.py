@@ -6,7 +6,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.takeoff_watch import TakeoffWatch, WrongHeight, reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each

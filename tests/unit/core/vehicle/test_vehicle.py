@@ -13,8 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle.decoder import ARRAYS, FIELDS, Decoder
-from skygcs.core.vehicle.decoding import GROUPS
+from skygcs.core.vehicle.decoding import ARRAYS, FIELDS, GROUPS, Decoder
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.core.vehicle.vehicle import MAX_STATUS_TEXTS, Vehicle

@@ -15,8 +15,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.separation import Footprint
-from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import decode_position
+from skygcs.core.vehicle.decoding import Decoder, decode_position
 from skygcs.ext.logs.flight import RecordedFlight, VehicleFlight
 from skygcs.ext.logs.report.approaches import Approaches
 from skygcs.ext.logs.report.day_figures import DayEvent, DayReport, EventKind, VehicleDay
