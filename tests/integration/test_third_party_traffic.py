@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.radio_link.rtcm import RtcmDeframer, content_of, fragments_of
+from skygcs.core.radio_link.corrections import RtcmDeframer, content_of, fragments_of
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle import SimVehicle
 from support.examples import covered_by_other_flights

@@ -10,8 +10,14 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from skygcs.core.radio_link.corrections import MAX_TYPES, SOURCE_SILENT_S
-from skygcs.core.radio_link.rtcm import MAX_MESSAGE_BYTES, RtcmDeframer, content_of, fragments_of
+from skygcs.core.radio_link.corrections import (
+    MAX_MESSAGE_BYTES,
+    MAX_TYPES,
+    SOURCE_SILENT_S,
+    RtcmDeframer,
+    content_of,
+    fragments_of,
+)
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.core.vehicle.gate import standing

@@ -9,7 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from skygcs.core.radio_link.rtcm import FRAGMENT_BYTES, FRAGMENTED, MAX_FRAGMENTS, MSM_TYPES, RtcmDeframer, content_of
+from skygcs.core.radio_link.corrections import (
+    FRAGMENT_BYTES,
+    FRAGMENTED,
+    MAX_FRAGMENTS,
+    MSM_TYPES,
+    RtcmDeframer,
+    content_of,
+)
 from skygcs.sim import protocol as m
 
 BASE_TYPES = frozenset({1005, 1006})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skygcs.core.radio_link.rtcm import fragments_of
+from skygcs.core.radio_link.corrections import fragments_of
 from skygcs.sim.rtk import BASE_S, CONVERGENCE_S, OBSERVATIONS_S, RtkReceiver
 from support.rtcm import STANDARD_1005, rtcm_frame
 from support.table import each

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from skygcs.core.radio_link.rtcm import CRC_BYTES, HEADER_BYTES, PREAMBLE, RESERVED_BITS, crc24q
+from skygcs.core.radio_link.corrections import CRC_BYTES, HEADER_BYTES, PREAMBLE, RESERVED_BITS, crc24q
 from skygcs.ext.corrections import ubx
 from skygcs.ext.corrections.ubx import UbxMessage
 

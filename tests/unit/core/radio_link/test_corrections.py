@@ -12,8 +12,9 @@ from skygcs.core.radio_link.corrections import (
     MAX_PARTS,
     SOURCE_SILENT_S,
     Corrections,
+    RtcmDeframer,
+    content_of,
 )
-from skygcs.core.radio_link.rtcm import RtcmDeframer, content_of
 from support.rtcm import STANDARD_1005, rtcm_frame, rtcm_payloads
 from support.table import each
 

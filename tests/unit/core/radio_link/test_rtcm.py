@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyrtcm import ERR_IGNORE, RTCMReader, calc_crc24q
 
-from skygcs.core.radio_link import rtcm
-from skygcs.core.radio_link.rtcm import (
+from skygcs.core.radio_link.corrections import (
     CHECKED_PER_BYTE,
     CHECKED_SAVED,
     MAX_FRAME_BYTES,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2 import ERR_IGNORE, NMEA_PROTOCOL, RTCM3_PROTOCOL, UBX_PROTOCOL, UBXReader
 
-from skygcs.core.radio_link.rtcm import MAX_FRAME_BYTES
+from skygcs.core.radio_link.corrections import MAX_FRAME_BYTES
 from skygcs.ext.corrections.receiver_stream import ReceiverStream
 from skygcs.ext.corrections.ubx import MAX_CONTENT_BYTES, UbxMessage, packed
 from support.base_receiver import NMEA, ack, nav_svin
