@@ -31,7 +31,7 @@ from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.geo import Origin
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.decoding import Decoder
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.memory import MemoryLink

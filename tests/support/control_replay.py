@@ -16,7 +16,7 @@ from typing import Any
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.guard import ControlMode, GuardConfig, GuardFacts
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.tlog.reading import LogReader

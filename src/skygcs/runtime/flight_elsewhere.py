@@ -15,7 +15,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.flight_lock import FlightLock
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardState
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight

@@ -25,8 +25,8 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle import offboard_entry, orders
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.gate import standing
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardController, OffboardState
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.setpoint_generator import Tick

@@ -37,7 +37,7 @@ from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Plac
 from skygcs.core.monitor.ways import Way, along, find_way_conflicts
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.vehicle.geodetic_position import Setpoint
+from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.mission_orders import MISSION_MODES, current_item
 from skygcs.core.vehicle.orders import FORCE_HINT, fresh_position
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight

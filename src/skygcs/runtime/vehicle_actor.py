@@ -30,8 +30,7 @@ from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
-from skygcs.core.vehicle.frames import setpoint_from_world, shown
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
 from skygcs.core.vehicle.order_plan import Plan

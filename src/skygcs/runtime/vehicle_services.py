@@ -14,7 +14,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.monitor.tracks import Place
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.geodetic_position import Setpoint
+from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter

@@ -24,8 +24,8 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.trajectory import hover
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.flight_lock import OriginChange
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.gate import Clearance
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock

@@ -15,7 +15,7 @@ from skygcs.core.control.delay import DelayMeter
 from skygcs.core.geo import EnuFrame, Origin, ecef, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoding import GlobalPosition, finite_angles, global_position
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.offboard_entry import braking_limits, loss_reach
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError

@@ -24,7 +24,7 @@ import math
 
 from skygcs.core.control.cascade import Vector
 from skygcs.core.geo import Origin, distance_m, wrap_deg_180
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.vehicle import Vehicle
 
 ORIGIN_MESSAGE = "GPS_GLOBAL_ORIGIN"

@@ -1,4 +1,6 @@
-"""Converts between the fleet's world frame, which people and programs use, and a vehicle's control frame. Pure.
+"""Targets of control as geodetic positions, so that a change of any frame moves no vehicle.
+
+Converts between the fleet's world frame, which people and programs use, and a vehicle's control frame.
 
 Positions are converted by latitude and longitude, velocities and angles are rotated. So the frames may differ in origin
 and heading, and a change of the world frame moves no vehicle.
@@ -8,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from skygcs.core.control.cascade import Reference, Vector
@@ -23,8 +26,35 @@ from skygcs.core.geo import (
     world_yaw_rad,
     yaw_enu_from_heading_deg,
 )
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.errors import RefusedError
+
+
+@dataclass(frozen=True, slots=True)
+class GeodeticPosition:
+    """A point on earth."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone and
+    ignores ``place``. None: zero; a yaw of None keeps the present reference."""
+
+    place: GeodeticPosition | None = None
+    vel_enu_mps: Vector | None = None
+    acc_enu_mps2: Vector | None = None
+    yaw_enu_rad: float | None = None
+    free_xy: bool = False
+    free_z: bool = False
+    yaw_rate_enu_radps: float | None = None
+    """Counter-clockwise positive. Without a yaw it turns from wherever its nose is."""
+
+
+# --- frames -----------------------------------------------------------------------------------------------------------
+
 
 MAX_OFFSET_M = 100_000.0
 MAX_SPEED_MPS = 100.0

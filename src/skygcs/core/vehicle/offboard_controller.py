@@ -32,7 +32,7 @@ from skygcs.core.control.guard import BY_DELAY, CONTROL_MODES, ControlMode, Guar
 from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.handover_attitude import HANDOVER_S, handover_attitude
 from skygcs.core.vehicle.offboard_entry import (
     PX4_RESPONSE_S,

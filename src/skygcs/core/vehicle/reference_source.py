@@ -20,7 +20,7 @@ from dataclasses import replace
 
 from skygcs.core.control.cascade import ZERO, Reference, Vector
 from skygcs.core.vehicle.estimate_view import EstimateView
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 
 MOST_AHEAD_M = 2.0

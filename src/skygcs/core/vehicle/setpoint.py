@@ -31,7 +31,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from skygcs.core.mavlink.modes import Family
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.errors import RefusedError
 
 Axes = tuple[bool, bool, bool]

@@ -33,7 +33,7 @@ from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Ti
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S, boosts_thrust
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.vehicle import Vehicle

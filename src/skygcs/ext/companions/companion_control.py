@@ -28,7 +28,7 @@ from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.trajectory.trajectory_clock import ClockOrder, ReplicatedClock
 from skygcs.core.vehicle import offboard_entry
 from skygcs.core.vehicle.flight_lock import FlightLock, Holder
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.stick_modes import hands, taken_since

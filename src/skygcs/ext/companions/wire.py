@@ -17,7 +17,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DEGREE
 from skygcs.core.trajectory.trajectory_clock import ClockOrder, ClockOrderKind
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.errors import RefusedError
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import ClockState
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.trajectory_flight import StartTube
 from skygcs.errors import RefusedError

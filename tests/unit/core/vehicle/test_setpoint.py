@@ -13,7 +13,7 @@ from skygcs.core.control.cascade import Estimate, Memory, Reference, step
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.vehicle import setpoint
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.setpoint import Message
 from skygcs.errors import RefusedError
 from support.pymav import PymavPeer

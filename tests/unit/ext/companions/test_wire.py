@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skygcs.core.geo import Origin
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.trajectory_clock import ClockOrder
-from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.errors import RefusedError
 from skygcs.ext.companions import wire
