@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.control import ControlConfig
 from skygcs.core.control.gains import GRAVITY_MPS2
-from skygcs.core.vehicle.handover_attitude import BRAKING_MPS2, handover_attitude
+from skygcs.core.vehicle.bumpless_transfer import BRAKING_MPS2, handover_attitude
 from support.table import each
 
 LAW = ControlConfig()

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.control.cascade import Estimate, Memory, Vector
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
+from skygcs.core.vehicle.bumpless_transfer import FRESH_S, THROTTLE_FRESH_S, SteadyThrust
 from skygcs.core.vehicle.decoding import Decoder
-from skygcs.core.vehicle.steady_thrust import FRESH_S, THROTTLE_FRESH_S, SteadyThrust
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each
 from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect

@@ -1,5 +1,7 @@
-"""The thrust with which a vehicle stands still now, read from its own attitude and throttle: what the integral of the
-control law shall begin with. Pure.
+"""Bumpless transfer: the thrust that control begins with, and the attitude in which it hands over. Pure.
+
+The thrust with which a vehicle stands still now, read from its own attitude and throttle: what the integral of the
+control law shall begin with.
 
 A vehicle that hovers in the wind leans into it; its throttle is its true hover thrust. Attitude control that begins
 with an integral of 0 lets go of both, is blown away until the integral has grown, and sinks or climbs by what its hover
@@ -11,6 +13,17 @@ integral: entry and each return to attitude are bumpless.
                 the cosine of the tilt (GCS_MAVLINK_Copter::send_attitude_target: get_throttle_in)
                 else VFR_HUD.throttle, in whole percent and cut off by both (ArduCopter: after the boost)
                 else the hover thrust of the law: the tilt alone is used, and the vertical integral begins at 0
+
+The attitude in which an ArduCopter is handed over from attitude setpoints to its own position control.
+
+Its position controller takes the lean it finds for the one that holds it against the wind, and begins its integral with
+it (AC_PosControl::init_xy_controller, 4.6.3). With PSC_VELXY_P 2 and PSC_VELXY_I 1 a wrong lean of a decays as
+dv = a t exp(-t): a vehicle that leans into a step by 2 m/s² gets 0.7 m/s faster and 2 m farther before it begins to
+stop, one at 35 degrees 2.5 m/s and 7 m. So for HANDOVER_S it is given the lean that its law had found against the wind,
+and against its motion what brakes it: the integral then begins with braking.
+
+Nothing is closed over the link meanwhile: the attitude is worked out once. If nothing reaches the vehicle after it, it
+keeps that lean for GUID_TIMEOUT and levels; the lean brakes to a standstill in that time at most.
 """
 
 from __future__ import annotations
@@ -18,9 +31,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from skygcs.core.control.cascade import Estimate, Memory, Vector
+from skygcs.core.control.cascade import Estimate, Memory, Quaternion, Vector, attitude_from_thrust, ned_frd_from_enu_flu
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.control.velocity_loop import clip
+from skygcs.core.control.velocity_loop import clip, within
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.offboard_entry import boosts_thrust
 from skygcs.core.vehicle.setpoint import LEAST_BOOST_COSINE
@@ -106,3 +119,35 @@ class SteadyThrust:
         elif hud is not None and now - hud.at <= THROTTLE_FRESH_S:
             thrust = (values(hud)[3:4] or (math.nan,))[0] / 100.0 + 0.005
         return thrust if THROTTLES[0] <= thrust <= THROTTLES[1] else None
+
+
+# --- handover attitude ------------------------------------------------------------------------------------------------
+
+
+HANDOVER_S = 0.3
+"""The attitude follows with 0.15 s: 86 % of the way."""
+
+BRAKING_MPS2 = 2.5
+"""Deceleration, the same with which ArduCopter itself brakes (WPNAV_ACCEL): a lean of 14 degrees."""
+
+LEAST_TIME_S = 0.5
+"""In which a lean may brake to a standstill, if GUID_TIMEOUT is shorter."""
+
+
+def handover_attitude(
+    law: ControlConfig, integral_enu: Vector, vel_enu_mps: Vector, yaw_enu_rad: float, loss_timeout_s: float
+) -> tuple[Quaternion, float]:
+    """Attitude (FRD body in NED world) and collective thrust: the steady ones of the law's integral, and a lean against
+    the horizontal velocity."""
+    vx, vy, _ = vel_enu_mps
+    weight = law.hover_thrust / GRAVITY_MPS2
+    # per m/s of velocity
+    braking = weight * min(1.0 / max(loss_timeout_s, LEAST_TIME_S), BRAKING_MPS2 / max(math.hypot(vx, vy), 1e-9))
+    up = within(law.hover_thrust + integral_enu[2], law.thrust_min, law.thrust_max)
+    east, north = integral_enu[0] - braking * vx, integral_enu[1] - braking * vy
+    most, size = up * law.tilt_max_tan, math.hypot(east, north)
+    if size > most:
+        east, north = east * most / size, north * most / size
+    thrust = (east, north, up)
+    attitude, _, _ = attitude_from_thrust(thrust, yaw_enu_rad)
+    return ned_frd_from_enu_flu(attitude), min(math.hypot(*thrust), law.thrust_max)
