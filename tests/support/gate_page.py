@@ -107,7 +107,7 @@ def page() -> str:
         lines.append(f"- Of {passing.all} {what}: {counts}.")
     for what, passing in (("messages", messages_passing(dialect)), ("commands", commands_passing(dialect))):
         lines += ["", f"Harmless {what}: " + ", ".join(f"`{name}`" for name in passing.harmless) + "."]
-    lines += ["", "## Parameters", "", "By their role (`skygcs.core.params.param_roles`).", ""]
+    lines += ["", "## Parameters", "", "By their role (`skygcs.core.params.names`).", ""]
     lines += joined(params_passing())
     return INTRODUCTION + "\n".join(lines) + "\n"
 

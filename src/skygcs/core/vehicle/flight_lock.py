@@ -32,7 +32,7 @@ from enum import StrEnum
 
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import Origin, distance_m
-from skygcs.core.params.param_roles import EFFECTS, LOCKED, ParamRole, role_of
+from skygcs.core.params.names import EFFECTS, LOCKED, ParamRole, role_of
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryLimits
 from skygcs.core.vehicle.vehicle import Vehicle
 

@@ -28,7 +28,7 @@ from enum import StrEnum
 from typing import Any
 
 from skygcs.core.mavlink import mav_cmd, modes
-from skygcs.core.params.param_roles import EFFECTS, ParamRole, role_of
+from skygcs.core.params.names import EFFECTS, ParamRole, role_of
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.stick_modes import mode_name, mode_refusal, without_sticks

@@ -14,7 +14,7 @@ from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, check, encode
 from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, VehicleClass, class_type
-from skygcs.core.params.param_roles import ParamRole
+from skygcs.core.params.names import ParamRole
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import mission_orders, offboard_entry, orders, stop
 from skygcs.core.vehicle.gate import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skygcs.core.params.param_roles import EFFECTS, LOCKED, ParamRole, role_of
+from skygcs.core.params.names import EFFECTS, LOCKED, ParamRole, role_of
 from skygcs.core.vehicle.fence_params import NAMES
 from skygcs.core.vehicle.offboard_entry import COPTER_PARAMETERS, PX4_PARAMETERS
 from support.table import each
