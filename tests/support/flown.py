@@ -26,7 +26,7 @@ from skygcs.daemon import Daemon
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import OwnMessage
-from skygcs.runtime.flight_journal import FILE
+from skygcs.runtime.flight_notes import FILE
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode

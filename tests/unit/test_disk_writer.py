@@ -24,7 +24,7 @@ ON_THE_LOOP = {
     "src/skygcs/runtime/alarm_book.py": "`_write` is given to `DiskWriter.offer`",
     "src/skygcs/runtime/undo_journal.py": "called by `DiskWriter.run`",
     "src/skygcs/runtime/fence_orders.py": "`_write` is given to `DiskWriter.run`",
-    "src/skygcs/runtime/flight_journal.py": "`_write` is given to `DiskWriter.offer`",
+    "src/skygcs/runtime/flight_notes.py": "`_write` is given to `DiskWriter.offer`",
     "src/skygcs/runtime/param_cache.py": "`_store` and `_touch` are given to `DiskWriter.offer`",
     "src/skygcs/runtime/signing_keys.py": "`SigningStore.save` is given to `DiskWriter`",
     "src/skygcs/runtime/trace_file.py": "`TraceFile.write` is given to `DiskWriter.offer`",

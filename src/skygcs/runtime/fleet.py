@@ -30,9 +30,8 @@ from skygcs.links.base import Channel, StateUpdate
 from skygcs.runtime.command_client import SendFn
 from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
-from skygcs.runtime.flight_journal import FlightJournal
 from skygcs.runtime.flight_locks import FlightLocks
-from skygcs.runtime.flight_notes import FlightNotes
+from skygcs.runtime.flight_notes import FlightJournal, FlightNotes
 from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache

@@ -15,8 +15,7 @@ import pytest
 from skygcs.core.vehicle.flight_note import FlightNote
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
-from skygcs.runtime import flight_journal
-from skygcs.runtime.flight_journal import FILE, FORMAT, FlightJournal
+from skygcs.runtime.flight_notes import FILE, FORMAT, FlightJournal
 from skygcs.runtime.vehicle_services import MAX_VEHICLES
 
 NOTE = FlightNote(1, 1, "alpha", True, "this station's setpoints", ((1.5, b"\xfd\x00"),), 246.0, 40.0)
