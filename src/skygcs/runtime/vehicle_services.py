@@ -20,9 +20,9 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.runtime.command_client import SendFn
-from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.flight_locks import FlightLocks
+from skygcs.runtime.loop_clock import ControlClock
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.undo_journal import UndoJournal
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from skygcs.cli import serve
 from skygcs.runtime import offboard_engagement
-from skygcs.runtime.control_clock import ControlClock
+from skygcs.runtime.loop_clock import ControlClock
 
 ROOM = 400_000
 """Ticks noted, allocated beforehand so that the process does not seem to grow: 100 vehicles at 50 Hz for 80 s."""

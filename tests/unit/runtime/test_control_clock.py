@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from skygcs.runtime.control_clock import LATE_S, TICKS_KEPT, ControlClock
+from skygcs.runtime.loop_clock import LATE_S, TICKS_KEPT, ControlClock
 from support.table import each
 
 
