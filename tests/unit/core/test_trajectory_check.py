@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+from skygcs.core.monitor import order_check
 from skygcs.core.monitor.order_check import Course, bow_m, find_conflicts
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
@@ -93,7 +94,7 @@ def test_two_too_near_already_may_part_and_not_come_nearer() -> None:
 
 
 def test_what_is_too_much_is_refused_and_not_passed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory_check, "MAX_LOOKS", 50)
+    monkeypatch.setattr(order_check, "MAX_LOOKS", 50)
     a = straight(1, (0.0, 0.0, 20.0), (1.0, 0.0, 0.0))
     assert "too much to be checked" in conflicts(a, straight(2, (0.0, 2.6, 20.0), (1.0, 0.0, 0.0)), end_s=600.0)[1]
 

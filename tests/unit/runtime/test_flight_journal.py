@@ -15,6 +15,7 @@ import pytest
 from skygcs.core.vehicle.flight_note import FlightNote
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
+from skygcs.runtime import flight_notes
 from skygcs.runtime.flight_notes import FILE, FORMAT, FlightJournal
 from skygcs.runtime.vehicle_services import MAX_VEHICLES
 
@@ -89,7 +90,7 @@ async def test_a_disk_that_is_full_leaves_no_old_note_to_be_believed(
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(flight_journal, "write_whole", full)
+    monkeypatch.setattr(flight_notes, "write_whole", full)
     events: list[Event] = []
     made = journal(tmp_path, events)
     made.note([], (), 0.0)
@@ -104,13 +105,13 @@ async def test_a_wall_clock_that_was_set_makes_no_note_of_the_same_start_older(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boot: str, moved_s: float
 ) -> None:
     """A step of two hours forward between the last note and a restart: the flight was forgotten."""
-    monkeypatch.setattr(flight_journal, "boot_id", lambda: "of this start")
+    monkeypatch.setattr(flight_notes, "boot_id", lambda: "of this start")
     wall = [1_700_000_000.0]
-    monkeypatch.setattr(flight_journal, "time", SimpleNamespace(time=lambda: wall[0]))
+    monkeypatch.setattr(flight_notes, "time", SimpleNamespace(time=lambda: wall[0]))
     at = wall[0] - 3.0
     await written(journal(tmp_path, clock=lambda: 500.0), replace(NOTE, frames=((at, b"\xfd\x00"),)))
     wall[0] += 7200.0 + 5.0
-    monkeypatch.setattr(flight_journal, "boot_id", lambda: boot)
+    monkeypatch.setattr(flight_notes, "boot_id", lambda: boot)
     ((heard_at, _),) = journal(tmp_path, clock=lambda: 505.0).recall()[0].frames
     assert wall[0] - heard_at == pytest.approx(8.0 + moved_s)
 
@@ -119,6 +120,6 @@ async def test_a_wall_clock_that_was_set_makes_no_note_of_the_same_start_older(
 async def test_a_journal_that_does_not_say_its_start_is_read_by_the_wall_clock(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, object]
 ) -> None:
-    monkeypatch.setattr(flight_journal, "boot_id", lambda: "")
+    monkeypatch.setattr(flight_notes, "boot_id", lambda: "")
     (tmp_path / FILE).write_text(json.dumps({"format": FORMAT, "notes": [NOTE.as_json()], **more}))
     assert journal(tmp_path).recall() == [NOTE]

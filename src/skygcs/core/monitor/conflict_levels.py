@@ -118,8 +118,8 @@ def who_holds(
         choices.append(((upper,), least_m(stops[0], goes_on[1])))
     if all(may_hold):
         choices.append(((lower, upper), least_m(stops[0], stops[1])))
-    for tracks, separation_m in choices:
-        if separation_m >= radius_m:
+    for tracks, nearest_m in choices:
+        if nearest_m >= radius_m:
             return tracks
     # none is enough: the best, if it is better than not to hold
     unheld_m = least_m(goes_on[0], goes_on[1])

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyrtcm import ERR_IGNORE, RTCMReader, calc_crc24q
 
+from skygcs.core.radio_link import corrections
 from skygcs.core.radio_link.corrections import (
     CHECKED_PER_BYTE,
     CHECKED_SAVED,
@@ -137,7 +138,7 @@ def test_less_than_a_frame_is_held_whatever_comes(chunks: list[bytes]) -> None:
 
 def test_a_stream_of_false_starts_costs_no_more_than_a_sound_one(monkeypatch: pytest.MonkeyPatch) -> None:
     checked: list[int] = []
-    monkeypatch.setattr(rtcm, "crc24q", lambda frame: checked.append(len(frame)) or crc24q(frame))
+    monkeypatch.setattr(corrections, "crc24q", lambda frame: checked.append(len(frame)) or crc24q(frame))
     for false in (b"\xd3\x03", b"\xd3\x03\xff", b"\xd3\x00"):
         deframer = RtcmDeframer()
         checked.clear()
