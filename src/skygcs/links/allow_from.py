@@ -1,6 +1,5 @@
-"""Internet addresses: names to socket addresses and back.
-
-Admission of peers to a server, for UDP and TCP: by the networks of `allow_from`, and by the number of peers.
+"""Internet addresses, names to socket addresses and back, and admission of peers to a server, for UDP and TCP: by the
+networks of `allow_from`, and by the number of peers.
 
 Reports are bounded: a few addresses that are not allowed, and each change between full and not full.
 """
@@ -55,7 +54,7 @@ def format_host(address: Address) -> str:
     return str(address[0]).removeprefix(_IPV4_MAPPED)
 
 
-# --- allow from -------------------------------------------------------------------------------------------------------
+# --- admission --------------------------------------------------------------------------------------------------------
 
 
 MAX_REMEMBERED = 1024

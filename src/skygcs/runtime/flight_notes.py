@@ -1,4 +1,6 @@
-"""Journal of what flies, for the daemon that begins after this one was killed: one small file in `log_dir`.
+"""Notes of what flies, and their journal on disk.
+
+Journal of what flies, for the daemon that begins after this one was killed: one small file in `log_dir`.
 
 It is written beside the loop (`DiskWriter`), at changes of state and every `PERIOD_S` while a vehicle is in the air;
 while the disk is stuck only the newest content waits for it.
@@ -150,7 +152,7 @@ def _write(path: Path, content: bytes) -> None:
         raise
 
 
-# --- flight notes -----------------------------------------------------------------------------------------------------
+# --- notes of all vehicles --------------------------------------------------------------------------------------------
 
 
 CHARGE_S = 5.0

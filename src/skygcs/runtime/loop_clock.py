@@ -12,7 +12,7 @@ fresh.
     stood still   the clock went on, and nothing was done, though a timer is due every BEAT_S: the process was stopped
                   (SIGSTOP, a paused container, a debugger), or had no processor or memory for so long
 
-Ticks on absolute deadlines: a late one does not move the next, and missed ones are skipped and counted.
+`ControlClock` ticks on absolute deadlines: a late one does not move the next, and missed ones are skipped and counted.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Which vehicle of a pair holds, and whether that helps.
+"""Conflicts of pairs of vehicles: their level, which vehicle of a pair holds, and whether that helps. Pure.
+
+Which vehicle of a pair holds, and whether that helps.
 
 Only a hold is ever ordered: it changes no height, it is what a person would order first, and it can be taken back. The
 vehicle of lower priority holds, if that keeps the two apart; else the other one; else both. Where no hold helps (the
@@ -136,7 +138,7 @@ def scaled_pieces(pieces: Sequence[Piece], ratio: float) -> tuple[Piece, ...]:
     return tuple(Piece(piece.duration_s, scaled(piece.velocity_mps, ratio)) for piece in pieces)
 
 
-# --- conflict levels --------------------------------------------------------------------------------------------------
+# --- levels -----------------------------------------------------------------------------------------------------------
 
 
 HORIZON_S = 10.0

@@ -1,12 +1,11 @@
-"""Check whether an order would bring a vehicle too close to another, before it is sent.
+"""Check whether an order or trajectories would bring a vehicle too close to another, before they begin.
 
 The path of the order is a straight line, flown at once with `GOTO_MPS`, after which the vehicle stays. What is parked
 or stands in the air is taken to stay, what moves to fly straight on for the horizon, and what skygcs has sent somewhere
 to fly there and stay; one that may do either is given as two `Other`. That is a model: speeds differ, and the monitor
 goes on watching.
 
-Check whether vehicles that are about to follow trajectories come too close to others, or to each other, on all their
-way.
+Trajectories are checked against others, and each other, on all their way.
 
 Each vehicle has a course: its place at every time from now on. The others' courses are where they stand, the
 trajectories that they follow, the straight line to where skygcs has sent them, or straight on for the horizon.
@@ -239,7 +238,7 @@ def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s:
     )
 
 
-# --- trajectory check -------------------------------------------------------------------------------------------------
+# --- trajectories -----------------------------------------------------------------------------------------------------
 
 
 STEP_S = 0.25

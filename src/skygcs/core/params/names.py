@@ -1,6 +1,5 @@
-"""Facts in parameter names: the same parameter in two generations, and parameters of one vehicle only.
-
-Roles of autopilot parameters: the part of a flight that a change of one of them would touch.
+"""Facts in parameter names: the same parameter in two generations, parameters of one vehicle only, and roles: the part
+of a flight that a change of one of them would touch.
 
     role            touches                                       while a flight runs by it   harmless in the air
     --------------  --------------------------------------------  --------------------------  -------------------
@@ -81,7 +80,7 @@ def turns_on(name: str) -> bool:
     return name.endswith(("_ENABLE", "_ENABLED"))
 
 
-# --- param roles ------------------------------------------------------------------------------------------------------
+# --- roles ------------------------------------------------------------------------------------------------------------
 
 
 class ParamRole(StrEnum):

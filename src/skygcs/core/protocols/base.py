@@ -4,9 +4,8 @@ The shell owns the machine: it calls `start` once, `on_timer` when ``deadline`` 
 when a message arrived, and carries out the effects returned, in order. A machine with an outcome returns no
 further effects and has no deadline.
 
-Numbered requests of which several are under way at once: paced, repeated until answered, given up after so many.
-
-Pure. The parts of a file and the indices of a parameter list are requested like this (`FileDownload`, `ParamList`).
+`SlidingWindow`: numbered requests of which several are under way at once, paced, repeated until answered, given up
+after so many. The parts of a file and the indices of a parameter list are requested like this (`FileDownload`, `ParamList`).
 """
 
 from __future__ import annotations

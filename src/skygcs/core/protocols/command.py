@@ -1,4 +1,6 @@
-"""Which commands may be repeated, and over which link: a table with the reason for each.
+"""The protocol of commands: one command to one vehicle, and which commands may be repeated. Pure.
+
+Which commands may be repeated, over which link, is a table with the reason for each.
 
 An order goes over the chosen link. When its answer does not come, either the order or the answer was lost, and the
 sender cannot know which. A repeat is harmless where doing it twice leaves what doing it once leaves. Elsewhere it is

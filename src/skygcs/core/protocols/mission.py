@@ -1,4 +1,5 @@
-"""Parts shared by the machines of the mission protocol: messages, results, waits; and the simplest machine, clearing.
+"""Parts shared by the machines of the mission protocol: messages, results, waits; and two machines:
+clearing a list, and fetching one whole.
 
     state      what came                                      next         effects
     --------   --------------------------------------------   ----------   -----------------------------------------
@@ -10,14 +11,12 @@
     SETTLING   timer                                          DONE         Finish: that refusal
     not DONE   stop (cancelled, vehicle lost, ...)            DONE         Finish: as given
 
-Upload and download have files of their own. Of all of them only messages of this vehicle that are addressed to us and
+The upload has a file of its own. Of all of them only messages of this vehicle that are addressed to us and
 of this list's type may be handed in.
 
 Protocol: https://mavlink.io/en/services/mission.html
 
-A list of the vehicle's (mission, fence or rally points) fetched whole.
-
-Rule: everything that decides how a download goes on is in this file.
+The download of a list (mission, fence or rally points):
 
     state      what came                                      next         effects
     --------   --------------------------------------------   ----------   -----------------------------------------
@@ -324,7 +323,7 @@ def item_values(item: MissionItem, seq: int) -> Mapping[str, Any]:
     return {**item.values(), "seq": seq, "current": 0}
 
 
-# --- mission download -------------------------------------------------------------------------------------------------
+# --- download ---------------------------------------------------------------------------------------------------------
 
 
 MAX_ROUNDS = 12

@@ -1,10 +1,9 @@
-"""EVENT messages by which PX4 rejects a mission that it has accepted in the upload.
+"""A list (mission, fence or rally points) brought to the vehicle: taken whole, or said what the vehicle holds now.
+Pure.
 
-PX4 checks a mission some ms after it has acknowledged the upload (1.16.1: MissionFeasibility/FeasibilityChecker.cpp and
+`rejection`: PX4 checks a mission some ms after it has acknowledged the upload (1.16.1: MissionFeasibility/FeasibilityChecker.cpp and
 mission_feasibility_checker.cpp) and reports problems by events; the status text with the same content is not sent on
 every link. An event's id is a hash of its name (platforms/common/include/px4_platform_common/events.h).
-
-A list (mission, fence or rally points) brought to the vehicle: taken whole, or said what the vehicle holds now.
 
 Rule: everything that decides how an upload goes on is in this file.
 

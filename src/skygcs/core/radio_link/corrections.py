@@ -1,4 +1,4 @@
-"""RTCM 3 frames in a stream of bytes, and on their way as GPS_RTCM_DATA.
+"""RTCM corrections on their way to vehicles: their frames, and those that wait for one radio. Pure.
 
 RTCM 10403, transport layer: 0xD3, six reserved bits (zero), ten bits of length, so many bytes, CRC-24Q of all that.
 Only the message type and the epoch of observations are read from the content.
@@ -201,7 +201,7 @@ def _values(flags: int, chunk: bytes) -> dict[str, int | bytes]:
     return {"flags": flags, "len": len(chunk), "data": chunk.ljust(FRAGMENT_BYTES, b"\0")}
 
 
-# --- corrections ------------------------------------------------------------------------------------------------------
+# --- queue of one radio -----------------------------------------------------------------------------------------------
 
 
 BURST_BYTES = 207.0

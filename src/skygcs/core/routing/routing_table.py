@@ -1,8 +1,6 @@
-"""The router's answers: the verdict on a frame, its destinations, and changes of the table.
-
-One channel in the routing table, and the rules between two channels (see the table in `core.routing.router`).
-
-The routing table: on which channels each source was heard, and what a flood of forged sources can take of it.
+"""The routing table: its channels, and the rules between two of them (see the table in `core.routing.router`); on which
+channels each source was heard, and what a flood of forged sources can take of it; and the answers of the router:
+verdicts, destinations, changes of the table.
 
 A source has a route to each channel on which it was heard, until it is silent there for the route timeout, the channel
 closes, its system reboots, or an autopilot needs its room. An autopilot that has a channel of its own is *heard
@@ -86,7 +84,7 @@ class RouteNote:
     """duplicate and ignored: the number of ignored frames."""
 
 
-# --- channel ----------------------------------------------------------------------------------------------------------
+# --- channels ---------------------------------------------------------------------------------------------------------
 
 
 # Kinds of broadcast, as bits: each has its own cached list of destinations per channel.
@@ -182,7 +180,7 @@ class Port:
         return bool(port.vehicles) or not port.policy.carries_vehicles
 
 
-# --- routing table ----------------------------------------------------------------------------------------------------
+# --- table ------------------------------------------------------------------------------------------------------------
 
 
 MAX_CHANNEL_ROUTES = 1024

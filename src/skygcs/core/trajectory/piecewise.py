@@ -1,4 +1,6 @@
-"""Bernstein form of polynomials on [0, T]: bounds of a polynomial that hold between all samples.
+"""Timed piecewise polynomials, one vehicle's trajectory, and their bounds between all samples (Bernstein form). Pure.
+
+Bernstein form of polynomials on [0, T]: bounds of a polynomial that hold between all samples.
 
 A polynomial of degree n on [0, T] is p(t) = Σ b_i C(n, i) u^i (1 - u)^(n-i) with u = t/T. The weights are not negative
 and sum to 1, so min b ≤ p(t) ≤ max b on the whole interval, and b_0 and b_n are its values at the two ends. Cutting the
@@ -107,7 +109,7 @@ def _rows(n: int) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(comb(i, k) / comb(n, k) for k in range(i + 1)) for i in range(n + 1))
 
 
-# --- piecewise --------------------------------------------------------------------------------------------------------
+# --- trajectories -----------------------------------------------------------------------------------------------------
 
 
 Vector = tuple[float, float, float]

@@ -25,7 +25,7 @@ it is at most A f² + V |s''|; `rate_limit` chooses |s''| = b / V, so a stop add
 A trajectory that does not begin at rest is ramped in from rate 0, one that does not end at rest is ramped out so that
 the rate reaches 0 at its end. Pure: the caller passes `now`, in seconds of the fleet clock.
 
-A trajectory clock of which others run replicas: its orders take effect at a time that all of them know before.
+A clock of which others run replicas (`ReplicatedClock`): its orders take effect at a time that all of them know before.
 
     order        at once                                   at its time, on the clock and on each replica
     ----------   ---------------------------------------   ------------------------------------------------------

@@ -1,8 +1,7 @@
-"""Firmware versions, from AUTOPILOT_VERSION and from ArduPilot's banner text.
+"""Decodes messages to telemetry groups: the only place where scaled integers, NED and FRD are read.
 
-The fields that are read of each message, and readers for them: one `Decoder` per dialect, shared by all vehicles.
-
-Decodes messages to telemetry groups: the only place where scaled integers, NED and FRD are read.
+The fields that are read of each message have readers: one `Decoder` per dialect, shared by all vehicles. Firmware
+versions come from AUTOPILOT_VERSION and from ArduPilot's banner text.
 
 A group is decoded when it is read, from the last frame of each of its messages. "Not known" values of the protocol
 (65535, -1, INT_MAX, NaN ...) become None. Results are JSON-able, in SI units, degrees and ENU.
@@ -51,7 +50,7 @@ def banner_program(text: str) -> str | None:
     return match[1] if match else None
 
 
-# --- decoder ----------------------------------------------------------------------------------------------------------
+# --- fields and their readers -----------------------------------------------------------------------------------------
 
 
 Reader = Callable[[bytes], tuple[Any, ...]]
@@ -211,7 +210,7 @@ def _reader(info: MessageInfo, names: tuple[str, ...]) -> Reader:
     return read
 
 
-# --- decoding ---------------------------------------------------------------------------------------------------------
+# --- telemetry groups -------------------------------------------------------------------------------------------------
 
 
 TelemetryGroup = dict[str, Any]

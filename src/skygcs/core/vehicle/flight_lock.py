@@ -8,7 +8,7 @@ would change one of these values asks first:
     ------------------------------  -----------------------------------------------------  -----------------
     `OriginChange`                  the same origin again                                  always
     `ParamWrite`                    roles that change no flight; tuning if somebody        always
-                                    insists (`param_roles`)
+                                    insists (`params.names`)
     `FenceWrite`                    each limit as wide or wider, the same action           always
     `FenceListWrite`, `RallyWrite`  never                                                  always
     `LinkLoss`                      another link carries the members as well               always

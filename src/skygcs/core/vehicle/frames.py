@@ -1,9 +1,7 @@
-"""Targets of control as geodetic positions, so that a change of any frame moves no vehicle.
-
-Converts between the fleet's world frame, which people and programs use, and a vehicle's control frame.
+"""Converts between the fleet's world frame, which people and programs use, and a vehicle's control frame. Pure.
 
 Positions are converted by latitude and longitude, velocities and angles are rotated. So the frames may differ in origin
-and heading, and a change of the world frame moves no vehicle.
+and heading. Targets of control are geodetic positions, so a change of any frame moves no vehicle.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ class Setpoint:
     """Counter-clockwise positive. Without a yaw it turns from wherever its nose is."""
 
 
-# --- frames -----------------------------------------------------------------------------------------------------------
+# --- conversions ------------------------------------------------------------------------------------------------------
 
 
 MAX_OFFSET_M = 100_000.0
