@@ -1,7 +1,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from skygcs.links.address import Address
+from skygcs.links.allow_from import Address
 
 INTERFACE: int
 

@@ -5,7 +5,8 @@ when a message arrived, and carries out the effects returned, in order. A machin
 further effects and has no deadline.
 
 `SlidingWindow`: numbered requests of which several are under way at once, paced, repeated until answered, given up
-after so many. The parts of a file and the indices of a parameter list are requested like this (`FileDownload`, `ParamList`).
+after so many. The parts of a file and the indices of a parameter list are requested like this (`FileDownload`,
+`ParamList`).
 """
 
 from __future__ import annotations
