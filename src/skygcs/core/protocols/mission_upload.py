@@ -2,8 +2,9 @@
 Pure.
 
 `rejection`: PX4 checks a mission some ms after it has acknowledged the upload (1.16.1:
-MissionFeasibility/FeasibilityChecker.cpp and mission_feasibility_checker.cpp) and reports problems by events; the status
-text with the same content is not sent on every link. An event's id is a hash of its name (platforms/common/include/px4_platform_common/events.h).
+MissionFeasibility/FeasibilityChecker.cpp and mission_feasibility_checker.cpp) and reports problems by events; the
+status text with the same content is not sent on every link. An event's id is a hash of its name
+(platforms/common/include/px4_platform_common/events.h).
 
 Rule: everything that decides how an upload goes on is in this file.
 
