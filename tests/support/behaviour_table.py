@@ -24,8 +24,17 @@ codes, gains and lists of numbers are there alone. A value in brackets is what t
 """
 
 
-BY_THE_MODULE_ALONE = {"modes", "answers", "climb_accel", "brake", "crash", "control_gains", "home_follows"}
-"""Fields whose numbers say nothing without their docstrings; modes have tables of their own."""
+BY_THE_MODULE_ALONE = {
+    "modes",
+    "answers",
+    "climb_accel",
+    "brake",
+    "crash",
+    "control_gains",
+    "home_follows",
+    "circle_rms_m",
+}
+"""Fields whose numbers say nothing without their docstrings, or are on another page; modes have tables of their own."""
 
 
 def words(value: Any) -> str:
