@@ -1,4 +1,4 @@
-"""One file of a vehicle by MAVLink FTP: whole and exact, or said not to have come. It is only ever read.
+"""Download of one file by MAVLink FTP, whole and exact or failed. Files are only read.
 
 Rule: everything that decides how a download goes on is in this file.
 

@@ -1,4 +1,4 @@
-"""A list of the vehicle's (mission, fence or rally points) fetched whole.
+"""Download of a whole list (mission, fence or rally points).
 
 Rule: everything that decides how a download goes on is in this file.
 

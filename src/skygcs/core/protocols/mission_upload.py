@@ -1,4 +1,4 @@
-"""A list (mission, fence or rally points) brought to the vehicle: taken whole, or said what the vehicle holds now.
+"""Upload of a list (mission, fence or rally points): taken whole, or the outcome names what the vehicle holds.
 
 Rule: everything that decides how an upload goes on is in this file.
 
