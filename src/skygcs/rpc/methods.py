@@ -77,7 +77,7 @@ def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
 
 
 def recorder_status(context: Context, _: NoParams) -> JsonObject:
-    """What is recorded, where, and what could not be recorded."""
+    """The recording: its state, its file, and what could not be recorded."""
     recorder = context.services.recorder
     return {"recording": False} if recorder is None else recorder.status()
 

@@ -281,7 +281,7 @@ def _entry(param: Param) -> JsonObject:
 
 
 def params_status(context: Context, params: TargetsParams) -> JsonObject:
-    """What is known of the parameters without asking the vehicles, and how far a list is."""
+    """Parameters that are known without asking the vehicles, and the progress of a list."""
     return {v.name: v.params.status() for v in context.services.fleet.resolve(params.targets)}
 
 

@@ -145,7 +145,7 @@ def trajectory_unload(context: Context, params: TargetsParams) -> JsonObject:
 
 
 def trajectory_status(context: Context, params: ListParams) -> JsonObject:
-    """What is loaded and flown, and the daemon's clock."""
+    """Loaded and flown trajectories, and the daemon's clock."""
     actors = resolve(context.services, params.targets)
     return {
         "now_s": context.services.now(),

@@ -283,7 +283,7 @@ def plan_cancel(context: Context, params: PlanCancelParams) -> JsonObject:
 
 
 def plan_jobs(context: Context, _: NoParams) -> JsonObject:
-    """What is being planned, and what waits for it."""
+    """Plans that are being made, and requests that wait."""
     queue = plans_of(context.services).queue
     counters = queue.counters
     return {
