@@ -16,16 +16,20 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulated-firmware.md
 
 INTRODUCTION = """# What the simulated firmwares do
 
-Every value that the simulated vehicles take from a firmware. `skygcs.sim.behaviours`, of which this page is made, has
+Values that the simulated vehicles take from a firmware. `skygcs.sim.behaviours`, of which this page is made, has
 the place in the firmware's source beside each, and whether it was measured with that firmware's own simulator; result
-codes, gains and lists of numbers are there alone. A value in brackets is what the simulator does instead.
-`tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real firmware.
+codes, gains, times of flights and other lists of numbers are there alone. A value in brackets is what the simulator
+does instead. `tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real
+firmware.
 
 """
 
 
-BY_THE_MODULE_ALONE = {"modes", "answers", "climb_accel", "brake", "crash", "control_gains", "home_follows"}
-"""Fields whose numbers say nothing without their docstrings; modes have tables of their own."""
+BY_THE_MODULE_ALONE = {
+    *("modes", "answers", "climb_accel", "brake", "crash", "control_gains", "home_follows"),
+    *("times", "circle_rms_m", "attitude_targets"),
+}
+"""Fields whose numbers say nothing without their docstrings, or are on another page; modes have tables of their own."""
 
 
 def words(value: Any) -> str:

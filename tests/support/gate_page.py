@@ -40,6 +40,7 @@ An order has checks of its own, and may send only what its row names. What no ro
 OWN_NAME = re.compile(r"^a \w+ of \w+ ")
 """How a refusal names its vehicle, which the page has in a column."""
 OWN_CLASS = re.compile(r"^it is (?:a \w+|of a class that skygcs does not know), and ")
+INSIST = re.compile(r"[,;] (?:or )?insist with force \(--force\)$")
 
 
 def answers(order: str, table: Iterable[Cell]) -> dict[str, list[Cell]]:
@@ -48,11 +49,15 @@ def answers(order: str, table: Iterable[Cell]) -> dict[str, list[Cell]]:
     for cell in table:
         if cell.order == order:
             sent = ", ".join(f"`{thing}`" for thing in cell.sends)
-            told = (
-                cell.refused if order == STICKS else f"refused: {OWN_CLASS.sub('', OWN_NAME.sub('it ', cell.refused))}"
-            )
+            told = cell.refused if order == STICKS else refused(cell.refused)
             found.setdefault(sent or told, []).append(cell)
     return found
+
+
+def refused(refusal: str) -> str:
+    """A refusal with its reason, without advice on other orders."""
+    why, forced = INSIST.subn("", OWN_CLASS.sub("", OWN_NAME.sub("it ", refusal)))
+    return f"refused{' without --force' if forced else ''}: {why.partition('; ')[0]}"
 
 
 def by_firmware(where: Iterable[Cell], table: Iterable[Cell]) -> str:

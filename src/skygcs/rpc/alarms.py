@@ -96,9 +96,8 @@ class MonitorState(Result):
 
 
 def alarms_list(context: Context, _: NoParams) -> JsonObject:
-    """The alarms that are open, and those that were acknowledged and whose condition lasts.
-
-    They are the daemon's: the same for every client, and kept over a restart. Each change is an event of kind "alarm".
+    """Open alarms, and acknowledged ones whose condition lasts; kept over a restart. Each change is an event of kind
+    "alarm".
     """
     return {"alarms": context.services.alarms.all()}
 
@@ -109,7 +108,7 @@ def alarms_acknowledge(context: Context, params: AcknowledgeParams) -> JsonObjec
 
 
 def monitor_status(context: Context, _: NoParams) -> JsonObject:
-    """Which vehicles are about to meet, which cannot be watched, and what the monitor has done."""
+    """Vehicles about to meet, those that cannot be watched, and what the monitor has done."""
     return context.services.fleet.monitor.status()
 
 

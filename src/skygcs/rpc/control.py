@@ -28,9 +28,8 @@ class ControlSetParams(TargetsParams):
     """Which control loops skygcs closes: none (position), position (velocity), position and velocity (attitude)."""
 
     mode: Mode = Field(
-        description="What is sent: attitude and thrust, velocities, or places; raw: attitude, body rates or "
-        "acceleration of control.setpoint; off: nothing, and hold. See docs/explanation/flight-"
-        "control.md."
+        description="What is sent (docs/explanation/flight-control.md). raw: attitude, body rates"
+        " or acceleration of control.setpoint; off: nothing, and hold is ordered."
     )
     force: bool = Field(
         False, description="Attitude although the autopilot keeps its tilt for long after setpoints are lost."
@@ -87,8 +86,7 @@ class SetpointParams(TargetsParams):
     )
     attitude: Annotated[list[float], Field(min_length=4, max_length=4)] | None = Field(
         None,
-        description="Raw: quaternion [w, x, y, z] that turns vectors of the body (x forward, y left, z up) into the "
-        "fleet's frame (x, y, up).",
+        description="Raw: quaternion [w, x, y, z], body (x forward, y left, z up) to the fleet's frame (x, y, up).",
     )
     roll_deg: Annotated[float, Field(ge=-180, le=180)] | None = Field(
         None, description="Raw: right side down; with pitch_deg and yaw_deg instead of the quaternion."
@@ -190,8 +188,7 @@ class ControlState(Result):
 async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
     """Fly vehicles by setpoints of skygcs, or leave them to their autopilots again.
 
-    Checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED) and its verification; undone on failure. A
-    vehicle begins by staying where it is. "off" ends the setpoints and orders hold.
+    A vehicle begins by staying where it is. A failure is undone.
     """
     return await command(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
 
@@ -208,7 +205,7 @@ async def control_gains(context: Context, params: ControlGainsParams) -> JsonObj
 
 
 def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
-    """One setpoint of a stream: made for 50 a second. See control.set first."""
+    """One setpoint of a stream, up to 50 a second, after control.set."""
     return as_json(context.services.fleet.orders.setpoint(params.targets, **params.arguments()))
 
 

@@ -133,7 +133,7 @@ def links_list(context: Context, _: NoParams) -> list[JsonObject]:
 
 
 async def links_add(context: Context, params: LinkAddParams) -> list[JsonObject]:
-    """Add a link at run time (until the daemon ends; the fleet file is not changed)."""
+    """Add a link until the daemon ends."""
     await context.services.links.add(params.name, params.link)
     return context.services.links.status()
 
@@ -156,12 +156,12 @@ def router_stats(context: Context, _: NoParams) -> JsonObject:
 
 
 def link_status(context: Context, _: NoParams) -> list[JsonObject]:
-    """How each radio's air is used: budgets, classes, vehicles, losses, the radio's own reports."""
+    """Each radio's budgets, classes, vehicles, losses and own reports."""
     return context.services.air.status(context.services.now())
 
 
 def link_select(context: Context, params: SelectParams) -> JsonObject:
-    """Give some vehicles twice the others' part of a radio that is too narrow for all."""
+    """Give some vehicles twice the others' part of a radio."""
     chosen = [] if params.targets is None else resolve(context.services, params.targets)
     context.services.air.select({v.sysid << 8 | v.compid for v in chosen})
     return {"selected": [v.name for v in chosen]}
@@ -177,7 +177,7 @@ def corrections_send(context: Context, params: CorrectionsParams) -> JsonObject:
 
 
 def corrections_status(context: Context, _: NoParams) -> JsonObject:
-    """Return which corrections were sent, what each radio did with them, and the fix of every vehicle."""
+    """Corrections that were sent, what each radio did with them, and the fix of every vehicle."""
     return context.services.corrections.status()
 
 

@@ -164,8 +164,7 @@ async def vehicles_stream(context: Context, params: StreamParams) -> JsonObject:
 async def vehicles_command(context: Context, params: CommandParams) -> JsonObject:
     """Send any MAV_CMD and wait for its acknowledgement.
 
-    Without force, what an order does with checks is refused for a vehicle that is not known to be disarmed, arming and
-    motor tests for every vehicle.
+    Without force only what the outgoing gate passes is sent (docs/reference/gate.md).
     """
     _check_command(context.services.dialect, params.command)
     if params.int_frame is not None:
@@ -176,7 +175,7 @@ async def vehicles_command(context: Context, params: CommandParams) -> JsonObjec
 def messages_latest(context: Context, params: LatestParams) -> JsonObject | None:
     """The last message of one name from one vehicle, or null.
 
-    The autopilot's; if it has sent none, the newest of its system's other components, which compid names.
+    The autopilot's, else the newest of its system's other components (compid).
     """
     info = find_message(context.services.dialect, params.name, "name")
     return context.services.fleet.latest(params.target, info.name)
@@ -185,9 +184,8 @@ def messages_latest(context: Context, params: LatestParams) -> JsonObject | None
 def messages_send(context: Context, params: SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field.
 
-    A message with a target field needs target, link or that field; "all", or 0 in the field, is everyone. Others go to
-    everyone unless a target or link is given. Without force, messages that do what an order does with checks are
-    refused for vehicles that are not known to be disarmed.
+    A message with a target field needs target, link or that field ("all" or 0: everyone); others go to everyone unless
+    a target or link is given. Without force only what the outgoing gate passes is sent (docs/reference/gate.md).
     """
     info = find_message(context.services.dialect, params.name, "name")
     fields = _checked_fields(context.services.dialect, info, params.fields)

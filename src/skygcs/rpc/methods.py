@@ -77,16 +77,13 @@ def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
 
 
 def recorder_status(context: Context, _: NoParams) -> JsonObject:
-    """Return what is recorded, where, and what could not be recorded."""
+    """The recording: its state, its file, and what could not be recorded."""
     recorder = context.services.recorder
     return {"recording": False} if recorder is None else recorder.status()
 
 
 def subscribe(context: Context, params: SubscribeParams) -> JsonObject:
-    """Receive notifications: "telemetry", "event", "message" or "plan".
-
-    Each carries the number of the subscription.
-    """
+    """Receive notifications; each carries the number of the subscription."""
     return {"subscription": context.subscribe(params)}
 
 

@@ -73,8 +73,7 @@ class PlanUploadParams(TargetsParams):
     lists: Lists | None = Field(None, description="null: those that the plan holds.")
     arrangement: ArrangementParams | None = Field(
         None,
-        description="Make each vehicle's mission from the plan's, by system id; those that come too near each "
-        "other are refused. null: all get it as it is.",
+        description="Make each vehicle's mission from the plan's, by system id; null: all get it as it is.",
     )
     force: bool = Field(
         False,
@@ -100,7 +99,7 @@ class MissionStartParams(TargetsParams):
         description="The first by system id starts now, each next one when the one before is done or has landed.",
     )
     force: bool = Field(
-        False, description="Although preflight is required and not passed, or another vehicle is in the way."
+        False, description="Although a required preflight is not passed, or another vehicle is in the way."
     )
 
 
@@ -151,8 +150,8 @@ class TurnsEnded(Result):
 async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObject:
     """Check a plan against each vehicle and upload it, its fence first.
 
-    Progress comes as events of kind command. An outcome that is not ok says what the vehicle holds, and so does an
-    event if the client goes away, which ends the upload.
+    Progress comes as events of kind command. An outcome that is not ok says what the vehicle holds. A client that goes
+    ends the upload.
     """
     try:
         plan = read_plan(params.plan.encode(), params.name).plan
@@ -189,8 +188,7 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on.
 
-    One after another, the answer comes when the first has started. Any order to one of them ends the turns, and so do a
-    failsafe, the loss of the one that flies and a refused start; an event of kind mission says which.
+    One after another, the answer comes when the first has started (docs/howto/missions.md has what ends the turns).
     """
     arguments: dict[str, Any] = {"first": params.first, "arm": params.arm, "force": params.force}
     if params.one_after_another:
@@ -225,7 +223,7 @@ async def missions_set_current(context: Context, params: MissionItemParams) -> J
 
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
-    """Where each vehicle is in its mission, what it holds, and what is being transferred."""
+    """Each vehicle's place in its mission, what it holds, and what is being transferred."""
     reports, turns = [], context.services.fleet.turns
     for vehicle in resolve(context.services, params.targets):
         has_fence = "FENCE_STATUS" in context.services.dialect.by_name
@@ -297,11 +295,9 @@ async def fence_status(context: Context, params: ListParams) -> JsonObject:
 
 
 async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
-    """Test the fence on foot, propellers off: a small one is set, the vehicle is carried out of it, and its fence is
-    put back.
+    """Test the fence on foot, propellers off (docs/howto/missions.md): a small one is set, and the old one put back.
 
-    Its reports and actions are recorded to a file in the log directory; progress comes as events of kind fence. ok: it
-    reported the breach and, if it was armed, took its action.
+    Progress comes as events of kind fence. ok: it reported the breach and, if armed, took its action.
     """
     return await command(context, params.targets, onboard_orders.test_fence, **params.arguments())
 

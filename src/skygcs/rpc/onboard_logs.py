@@ -47,9 +47,8 @@ METHODS: tuple[Method[Context], ...] = (
         onboard_orders.get_logs,
         """Write onboard logs of vehicles to files of the daemon, in onboard/ of its log_dir.
 
-        Several vehicles at the same time. A log that came in part is resumed; one that is there is not read again.
-        Progress comes as events of kind onboard_log. Refused while armed, and over a radio without force. It ends when
-        the client goes away.
+        A log that came in part is resumed; one that is there is not read again. Progress comes as events of kind
+        onboard_log. Refused while armed, and over a radio without force. It ends with its client.
         """,
         result=LogsOutcomes,
         errors=(error_codes.TARGET_ERROR,),

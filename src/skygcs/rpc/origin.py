@@ -75,8 +75,7 @@ def origin_from_vehicle(context: Context, params: OriginFromParams) -> JsonObjec
 async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     """Send vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and read theirs back; armed only with force.
 
-    It moves the vehicle's own local frame, for programs on board; skygcs does not need it. ArduPilot accepts it only
-    while it has none.
+    It moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only while it has none.
     """
     push = context.services.fleet.orders.push_origin
     return as_json(await push(params.targets, home=params.home, force=params.force, reports=context.reports))

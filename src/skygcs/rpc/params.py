@@ -58,14 +58,12 @@ class ParamSetParams(TargetsParams):
     )
     settle: bool = Field(
         True,
-        description="Read what was changed again half a second after the last: a PX4 changes some parameters "
-        "after it took them. Their outcome is changed then.",
+        description="Read changed values again half a second later: a PX4 changes some after it took them.",
     )
     force: bool = Field(
         False,
-        description="Values outside their range; during a flight also gains, limits and parameters of unknown "
-        "effect. What it was certified or entered with (ids, frame, fence, estimator, failsafes) is "
-        "refused until it has ended.",
+        description="Values outside their range; in flight also gains, limits and parameters of "
+        "unknown effect, but nothing that the flight was certified with.",
     )
 
 
@@ -81,7 +79,7 @@ class ParamListParams(TargetsParams):
     refresh: bool = Field(False, description="Read all, although the vehicle confirms what is known.")
     burst: bool = Field(
         False,
-        description="The vehicle sends all at once, then gaps are filled: quicker, but it saturates a shared radio.",
+        description="All at once, then gaps are filled: quicker, but it saturates a shared radio.",
     )
     bytes_per_s: float | None = Field(
         BYTES_PER_S,
@@ -194,10 +192,7 @@ async def params_get(context: Context, params: ParamGetParams) -> JsonObject:
 
 
 async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
-    """Set parameters one after another, each read back; every one has an outcome, also when it was cancelled.
-
-    Without force a value outside the range of its metadata is refused.
-    """
+    """Set parameters one after another; each has an outcome, also when it was cancelled."""
     values: dict[str, Value] = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
 
     async def write(vehicle: VehicleActor) -> JsonObject:
@@ -246,9 +241,8 @@ def _description(known: ParamMetadata) -> JsonObject:
 async def params_list(context: Context, params: ParamListParams) -> Encoded:
     """All parameters, one vehicle after another. Progress comes as events "params".
 
-    What was read before is read again only if the vehicle does not confirm it: PX4 by a hash over all values, ArduPilot
-    by its firmware and their number. Of each vehicle one list is read at a time: who asks meanwhile gets the same, at
-    the rate of the first.
+    Known values are read again unless the vehicle confirms them: PX4 by a hash over all, ArduPilot by firmware and
+    number. A request meanwhile gets the same list, at the rate of the first.
     """
     vehicles = context.services.fleet.resolve(params.targets)
     if params.values and len(vehicles) > MAX_WITH_VALUES:
@@ -287,15 +281,12 @@ def _entry(param: Param) -> JsonObject:
 
 
 def params_status(context: Context, params: TargetsParams) -> JsonObject:
-    """Return what is known of the parameters without asking the vehicles, and how far a list is."""
+    """Parameters that are known without asking the vehicles, and the progress of a list."""
     return {v.name: v.params.status() for v in context.services.fleet.resolve(params.targets)}
 
 
 def params_cancel(context: Context, params: TargetsParams) -> JsonObject:
-    """Stop reading and setting parameters; what a vehicle has taken already it keeps.
-
-    The result is how many requests were pending, by vehicle.
-    """
+    """Stop reading and setting parameters; what was taken stays. The result: pending requests by vehicle."""
     return {v.name: v.params.cancel() for v in context.services.fleet.resolve(params.targets)}
 
 
@@ -321,7 +312,9 @@ async def _each(
 
 class PreflightParams(TargetsParams):
     fix: bool = Field(
-        False, description="Set the parameters that mend a failed check, read them back, and examine it again."
+        False,
+        description="Set the parameters that mend a failed check, and examine it again; not on an armed "
+        "vehicle, and never a system id.",
     )
     confirmed: dict[str, dict[Name, float]] | None = Field(
         None,
@@ -380,11 +373,7 @@ class PreflightStatus(Result):
 
 
 async def preflight_run(context: Context, params: PreflightParams) -> JsonObject:
-    """Examine vehicles before a flight: parameters, sensors, estimator, GPS, battery, home, clock, link.
-
-    Takes a few seconds a vehicle. With fix, parameters are set: not on an armed vehicle, and never its system id. Some
-    take effect only after a reboot.
-    """
+    """Examine vehicles before a flight (docs/howto/preflight.md); takes a few seconds a vehicle."""
     reports: dict[str, Any] = await context.services.fleet.preflight(
         params.targets, fix=params.fix, confirmed=params.confirmed
     )
@@ -401,7 +390,7 @@ class UndoParams(MethodParams):
 
 
 class UndoRunParams(UndoParams):
-    force: bool = Field(False, description="Although it is armed, or another program has changed the parameters since.")
+    force: bool = Field(False, description="Although one of these is so.")
 
 
 class UndoChange(Result):
@@ -423,15 +412,14 @@ class UndoLeft(Result):
 
 
 async def undo_list(context: Context, _: NoParams) -> JsonObject:
-    """Temporary changes of parameters that could not be undone: the daemon was killed, or the vehicle was lost."""
+    """Temporary changes of parameters that could not be undone."""
     return await context.services.fleet.undo.left()
 
 
 async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
     """Undo one of them, and read the parameters back.
 
-    Without force refused to an armed vehicle, and where a parameter holds neither the value of before nor that of the
-    change.
+    Without force refused while armed, and where a parameter holds neither the old value nor that of the change.
     """
     outcome = await context.services.fleet.undo.run(params.id, force=params.force)
     return {"outcomes": {params.id: outcome.as_dict()}}

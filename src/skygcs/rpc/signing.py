@@ -73,8 +73,8 @@ class SigningStatus(Result):
 async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObject:
     """Send vehicles a signing key (SETUP_SIGNING), and wait until they sign with it.
 
-    Refused to an armed vehicle, and over a link that others can receive. Whether skygcs itself signs with the key is
-    set by the link's signing table.
+    Refused to an armed vehicle, and over a link that others can receive. skygcs itself signs by the link's signing
+    table.
     """
     path = Path(params.key_file)
     if "\0" in params.key_file:
@@ -86,20 +86,19 @@ async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObj
 
 
 async def signing_off(context: Context, params: TargetsParams) -> JsonObject:
-    """Have vehicles forget their signing key, and wait until they no longer sign; not while armed."""
+    """Have vehicles forget their signing key; not while armed."""
     return as_json(await context.services.signing_setup.off(params.targets, reports=context.reports))
 
 
 def signing_status(context: Context, _: NoParams) -> JsonObject:
-    """Keys in use with their clocks; links that have one, and what they accepted and dropped."""
+    """Keys in use with their clocks, and what the links accepted and dropped."""
     return context.services.signing.status(context.services.hub.channels.values())
 
 
 def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObject:
-    """Set a key's clock back to the system clock after a frame moved it far ahead; not while a vehicle is armed.
+    """Set a key's clock, which a frame moved far ahead, back to the system clock; not while a vehicle is armed.
 
-    Streams that are ahead of it are forgotten. Vehicles that have followed the later time need their key again over a
-    cable (signing.setup).
+    Vehicles that have followed the later time need their key again over a cable (signing.setup).
     """
     return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
 

@@ -83,7 +83,7 @@ class TrajectoryPaths(Result):
 
 
 async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> JsonObject:
-    """Keep a trajectory for a vehicle, in place of the one before; nothing moves."""
+    """Keep a trajectory for a vehicle, in place of the one before."""
     actor = one_vehicle(context.services, params.target)
     try:
         trajectory = Trajectory(
@@ -100,9 +100,7 @@ async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> Jso
 async def trajectory_start(context: Context, params: TrajectoryStartParams) -> JsonObject:
     """Let vehicles follow their trajectories on one clock: all of them, or none.
 
-    Each must be flown by setpoints, near the first point, and its whole trajectory within control fence and limits
-    (docs/howto/fly-several.md#trajectories). All have to stay away from each other and from every other vehicle. The
-    daemon flies it from then on, also without the client.
+    Conditions: docs/howto/fly-several.md#trajectories. The daemon flies it, also without the client.
     """
     fleet = context.services.fleet
     now = context.services.now()
@@ -147,7 +145,7 @@ def trajectory_unload(context: Context, params: TargetsParams) -> JsonObject:
 
 
 def trajectory_status(context: Context, params: ListParams) -> JsonObject:
-    """Return what is loaded and flown, and the daemon's clock."""
+    """Loaded and flown trajectories, and the daemon's clock."""
     actors = resolve(context.services, params.targets)
     return {
         "now_s": context.services.now(),

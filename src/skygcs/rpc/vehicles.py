@@ -36,8 +36,7 @@ class SystemComponent(ComponentEntry):
 class ArmParams(TargetsParams):
     force: bool = Field(
         False,
-        description="Arm although the autopilot's checks fail (magic number 21196), or a required preflight is not "
-        "passed.",
+        description="Although the autopilot's checks fail, or a required preflight is not passed.",
     )
     wait_s: float = Field(0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready.")
 
@@ -47,8 +46,7 @@ class DisarmParams(TargetsParams):
     confirm: str | None = Field(
         None,
         max_length=100,
-        description='While two vehicles send with one system id: "disarm-N", N vehicles; the error without it '
-        "names their links and the word.",
+        description='While two vehicles send with one system id: "disarm-N", N vehicles.',
     )
 
 
@@ -56,8 +54,7 @@ class ModeParams(TargetsParams):
     mode: str = Field(min_length=1, description='E.g. "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter).')
     force: bool = Field(
         False,
-        description="Into a mode flown by sticks, in the air, without sticks in its telemetry; never one in which"
-        " it would fall.",
+        description="In the air into a mode flown by sticks, without sticks; never one in which it would fall.",
     )
 
 
@@ -69,8 +66,8 @@ class TakeoffParams(TargetsParams):
     wait_s: float = Field(0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready.")
     force: bool = Field(
         False,
-        description="Although preflight is required and not passed, or another vehicle is in the way; the "
-        "autopilot's checks remain.",
+        description="Although a required preflight is not passed, or another vehicle is in the "
+        "way; the autopilot's checks remain.",
     )
 
 
@@ -78,8 +75,8 @@ class HoldParams(TargetsParams):
     instead_of: int | None = Field(
         None,
         ge=0,
-        description="The order_number of the order that this ends: refused if a newer one moves the vehicle, or "
-        "may; one in progress is awaited. null: it ends whatever moves it.",
+        description="order_number of the order that this ends: refused if a newer one moves the "
+        "vehicle, or may. null: whatever moves it.",
     )
 
 
@@ -90,8 +87,7 @@ class StopParams(TargetsParams):
     confirm: str | None = Field(
         None,
         max_length=100,
-        description='kill only: "kill-N", N vehicles; the refusal without it names them and the word. Two that '
-        "send with one system id count twice.",
+        description='kill only: "kill-N", N vehicles; two that send with one system id count twice.',
     )
 
 
@@ -106,7 +102,7 @@ class GotoParams(TargetsParams):
     )
     same_place: bool = Field(False, description="Several vehicles: all to the same point, not in formation.")
     together: Targets | None = Field(
-        None, description="Vehicles that the caller keeps apart from these itself: never in the way."
+        None, description="Vehicles that the caller keeps apart from these: never in the way."
     )
 
     @model_validator(mode="after")
@@ -166,8 +162,7 @@ def vehicles_get(context: Context, params: TargetParams) -> JsonObject:
 async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
     """Set the flight mode by the autopilot's own name for it.
 
-    The mode of a return or of a landing is, for copters in flight, the order vehicles.rtl or vehicles.land; force sets
-    the mode alone.
+    The mode of a return or landing is, for copters in flight, vehicles.rtl or vehicles.land; force sets the mode alone.
     """
     return await command(context, params.targets, VehicleActor.set_mode, name=params.mode, force=params.force)
 
@@ -178,9 +173,9 @@ def vehicles_forget(context: Context, params: ForgetParams) -> JsonObject:
 
 
 async def vehicles_renumber(context: Context, params: RenumberParams) -> JsonObject:
-    """Give a vehicle another system id: set the parameter, reboot, find it under the new id, read the parameter.
+    """Give a vehicle another system id, by its parameter and a reboot.
 
-    Refused while it is not known to be disarmed, and for an id that is taken. It keeps its name until the daemon ends.
+    Refused while it is not known to be disarmed, and for a taken id. It keeps its name until the daemon ends.
     """
     return as_json(await context.services.renumbering.run(params.target, params.sysid, force=params.force))
 
@@ -206,30 +201,29 @@ METHODS: tuple[Method[Context], ...] = (
         "vehicles.rtl",
         TargetsParams,
         VehicleActor.rtl,
-        "Return to launch and land there. A vehicle whose way home is not clear holds until it is, and its outcome "
-        "says so; ordered again alone it returns at once.",
+        "Return to launch and land there. A vehicle whose way home is not clear holds until it "
+        "is; ordered again alone it returns at once.",
     ),
     order_method("vehicles.hold", HoldParams, VehicleActor.hold, "Stop and hold position."),
     order_method(
         "vehicles.stop",
         StopParams,
         VehicleActor.stop,
-        "Emergency stop: sent over every link and repeated for up to 30 s until the vehicle shows it or refuses it,\n"
-        "also to vehicles that are lost.",
+        "Emergency stop: over every link, also to lost vehicles, for up to 30 s until the vehicle shows or refuses it.",
         errors=(*_TARGET, error_codes.REFUSED),
     ),
     order_method(
         "vehicles.goto",
         GotoParams,
         VehicleActor.goto,
-        "Fly to a place, given in degrees and height above home or in metres about the fleet's origin.",
+        "Fly to a place, in degrees and height above home or in metres about the fleet's origin.",
     ),
     order_method(
         "vehicles.calibrate",
         CalibrateParams,
         VehicleActor.calibrate,
-        "Calibrate a sensor of disarmed vehicles. The answer comes with the result, after seconds or "
-        'minutes. Events of kind "calibration" show the progress. A client that goes cancels it.',
+        'Calibrate a sensor of disarmed vehicles. Events of kind "calibration" show the progress;'
+        " a client that goes cancels it.",
     ),
     order_method(
         "vehicles.calibrate_confirm",

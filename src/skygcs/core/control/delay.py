@@ -1,4 +1,4 @@
-"""How old what the law sees is, and how long what it says takes to arrive: the delay the guard judges attitude by.
+"""The delay by which the guard judges attitude: age of the state, and the setpoint's way to the vehicle.
 
     tick    age of the newest state     ─> window of 3 s                     ┐
     ping    token, remembered           ─> at most 64 under way              ├─> delay p95 = p95(ages) + share · rtt
@@ -8,13 +8,13 @@
 Round trips are measured by TIMESYNC or PING: five in the first second, then one a second, or five a second while `fast`
 is set (attitude is flown and the link bears it: two messages of 28 B, 140 B/s each way). The last 21 count, or five
 times as many. Of 21 the 95th percentile is the second largest: one late pong is an accident, two are the link; of 101
-it is the sixth. More of them make it no quicker: that is for the following.
+it is the sixth.
 
-A pong that does not come says something, too: the ping was lost, or it has been under way for so long already. One ping
-alone does not show which. When the oldest ping since the last answer is overdue (20 ms later than p95), probes go out
-20 times a second, and the age of the seventh ping without an answer is a lower bound of the round trip. Links keep
-their order, so a pong proves that the pings before its own were lost. Probes count for the bound only, not among the
-trips: they are sent just when the link is slow, and would make one pause of it look like many.
+A missing pong means a lost ping or a slow link; one ping alone does not show which. When the oldest ping since the last
+answer is overdue (20 ms later than p95), probes go out 20 times a second, and the age of the seventh ping without an
+answer is a lower bound of the round trip. Links keep their order, so a pong proves that the pings before its own were
+lost. Probes count for the bound only, not among the trips: they are sent just when the link is slow, and would make one
+pause of it look like many.
 
     noticed    uplink from 0.01 to 0.585 s, worst phase: the next ping after 0.2 s, overdue 0.04 s later, the seventh
                after 0.25 s more, unanswered for 0.08 s: 0.57 s (limit 0.1 s, states at 50 Hz), and two ticks

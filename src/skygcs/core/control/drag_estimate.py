@@ -15,9 +15,9 @@ the left). A coefficient holds at any speed, and needs no change when the way tu
 On a straight way at a constant speed that integral takes all of the drag within seconds, whatever is added to it; the
 distance that is left is one of timing, and says nothing of the drag. So an error teaches by the part of the velocity
 that the integral has not followed yet, its high-pass with the time constant of the integral (`BALANCED_S`). Learned
-from the whole velocity, the coefficient fell to its bound on each long way and the integral made up for it: vehicles
-passed the ends of such ways by 0.28 s of their speed. Timing that is known is taken off: setpoints are sent ahead by
-the autopilot's response, which is right where the way turns, and on a straight way the vehicle is ahead by it.
+from the whole velocity, the coefficient would fall to its bound on each long way, and vehicles would pass its end by
+0.28 s of their speed. Timing that is known is taken off: setpoints are sent ahead by the autopilot's response, which is
+right where the way turns, and on a straight way the vehicle is ahead by it.
 """
 
 from __future__ import annotations

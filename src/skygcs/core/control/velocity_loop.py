@@ -8,10 +8,9 @@ The velocity setpoint is limited to what the vehicle brakes from, and grows slow
     v_sp = v_ref + v_p                    its length grows by at most a · dt in its own direction, beside the
                                           reference's own acceleration; it shrinks, turns back and stops at once
 
-A vehicle that leans by 35 degrees into a step gains 6.9 m/s each second, and no autopilot with 2.5 m/s² to brake with
-stops it. What ends the law, a link that gets slow above all, has to stop what the law has built up, so it builds up no
-more than that. References within a / Kp² of the vehicle, those that move with their own velocity, and braking are as
-without. Derivation and figures: docs/explanation/control-law.md.
+At 35 degrees of tilt a vehicle gains 6.9 m/s each second, more than an autopilot that brakes with 2.5 m/s² can stop
+when a slow link ends the law. References within a / Kp² of the vehicle, those that move with their own velocity, and
+braking are as without. Derivation and figures: docs/explanation/control-law.md.
 
 In the PI each limit and anti-windup stands next to its integrator. Errors are in m/s, results in normalised thrust. A
 step of 0 s integrates nothing; the caller uses it to freeze the integrators.

@@ -12,8 +12,8 @@
     known ids, mode or arming state that alternates          two senders: the first one stays the vehicle, the
                                                              other one contradicts
 
-Seen in the wild: 2/2 flooding heartbeats with autopilot INVALID, 1/0 as ADS-B and as a second quadrotor with autopilot
-INVALID, a GCS 255/190 that calls its autopilot ArduPilot, a companion computer with the ids of its vehicle.
+Seen: 2/2 flooding heartbeats with autopilot INVALID, 1/0 as ADS-B and as a second quadrotor with autopilot INVALID, a
+GCS 255/190 that calls its autopilot ArduPilot, a companion computer with the ids of its vehicle.
 """
 
 from __future__ import annotations

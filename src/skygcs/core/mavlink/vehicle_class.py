@@ -28,7 +28,7 @@ Abilities of the classes (`abilities_of`): the one declaration from which orders
                 holds)   mission        lands)
 
 What cannot stop holds by a circle: `hold_radius` names the parameter with its radius and the firmware's default. The
-modes and commands of each order are fields too; `autopilot` makes plans of them and says why.
+modes and commands of each order are fields, of which `autopilot` makes plans.
 
 Read from ArduPilot 4.6 (ArduPlane/mode.h, GCS_Mavlink.cpp: handle_command_int_packet; Rover/mode.h, GCS_Mavlink.cpp)
 and PX4 1.16 (navigator: loiter.cpp, takeoff.cpp, land.cpp; fw_pos_control: control_auto_takeoff).

@@ -1,5 +1,4 @@
-"""MAVLink FTP: its packets, and one file of a vehicle, whole and exact, or said not to have come. It is only ever read.
-Pure.
+"""MAVLink FTP: its packets, and the download of one file, whole and exact or failed. Files are only read. Pure.
 
 The 251 bytes of FILE_TRANSFER_PROTOCOL and the words in them: https://mavlink.io/en/services/ftp.html (little-endian;
 req_opcode and offset of a reply are those of the request it answers, its seq_number is the request's plus one).

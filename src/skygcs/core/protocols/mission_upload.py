@@ -1,5 +1,4 @@
-"""A list (mission, fence or rally points) brought to the vehicle: taken whole, or said what the vehicle holds now.
-Pure.
+"""Upload of a list (mission, fence or rally points): taken whole, or the outcome names what the vehicle holds. Pure.
 
 `rejection`: PX4 checks a mission some ms after it has acknowledged the upload (1.16.1:
 MissionFeasibility/FeasibilityChecker.cpp and mission_feasibility_checker.cpp) and reports problems by events; the

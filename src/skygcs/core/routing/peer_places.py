@@ -9,8 +9,8 @@
     an address without a place    takes one of a few additional places that are kept for such
     otherwise                     it is refused: those that were there first keep their places
 
-An autopilot that is heard is never put out, nor is the last way to a vehicle in the air, heard or not. A flood of peers
-that claim to be autopilots keeps what it took first.
+An autopilot that is heard is never replaced, nor is the last way to a vehicle in the air, heard or not. A flood of
+peers that claim to be autopilots keeps what it took first.
 """
 
 from __future__ import annotations

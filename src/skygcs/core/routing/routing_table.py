@@ -6,8 +6,7 @@ A source has a route to each channel on which it was heard, until it is silent t
 closes, its system reboots, or an autopilot needs its room. An autopilot that has a channel of its own is *heard
 directly*: what ground stations and recordings send of it are echoes, and give no route.
 
-Sources come from outside, and anybody can write any of 65,000 of them into frames. So that one channel cannot starve
-another:
+A sender can forge 65,000 sources. So that one channel cannot starve another:
 
     a channel                   keeps at most MAX_CHANNEL_ROUTES sources
     all channels of a link      keep at most MAX_LINK_ROUTES together; KEPT_ROUTES of each channel are its own

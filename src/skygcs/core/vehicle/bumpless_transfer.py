@@ -1,12 +1,10 @@
 """Bumpless transfer: the thrust that control begins with, and the attitude in which it hands over. Pure.
 
-The thrust with which a vehicle stands still now, read from its own attitude and throttle: what the integral of the
-control law shall begin with.
+The thrust is that with which a vehicle stands still, from its attitude and throttle: the initial integral of the law.
 
-A vehicle that hovers in the wind leans into it; its throttle is its true hover thrust. Attitude control that begins
-with an integral of 0 lets go of both, is blown away until the integral has grown, and sinks or climbs by what its hover
-thrust is wrong. So the mean thrust vector of the last seconds, less what accelerated the vehicle meanwhile, becomes the
-integral: entry and each return to attitude are bumpless.
+A vehicle that hovers in the wind leans into it; its throttle is its true hover thrust. With an integral of 0 it would
+drift with the wind, and sink or climb by the error of its hover thrust. So the mean thrust vector of the last seconds,
+less what accelerated the vehicle meanwhile, becomes the integral: entry and each return to attitude are bumpless.
 
     tilt        ATTITUDE, as it comes; nothing older than FRESH_S counts
     throttle    ATTITUDE_TARGET.thrust where it comes; ArduCopter shows it before its angle boost, which divides it by

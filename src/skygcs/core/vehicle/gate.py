@@ -16,7 +16,7 @@ An order is a row of `ORDERS`: its own checks decide for which vehicle it is pla
 row says which messages and commands it may send. The gate gives it a `Clearance` for exactly these; no other module can
 make one, and what is sent without one is judged as a raw message (`runtime.outgoing_gate`, the place that every own
 message passes). A step that undoes another one passes again when it is sent (`clear_undo`). Modes that are flown by
-sticks have rules of their own (`stick_modes`), by whatever door they come.
+sticks have rules of their own (`stick_modes`), whatever sends them.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@
 
 Read in PX4 1.16.1 (mavlink_receiver.cpp, PositionControl.cpp) and ArduCopter 4.6.3 (GCS_Mavlink.cpp, mode_guided.cpp).
 
-A setpoint that exceeds a limit is refused, never clipped: a controller whose output is cut without a word winds up, and
-its author looks for the fault in the wrong place. The setpoint before it stays in force until its own deadline.
+A setpoint that exceeds a limit is refused, never clipped: a controller whose output is clipped unnoticed winds up. The
+setpoint before it stays in force until its own deadline.
 
 Body rates and thrust bound neither tilt nor speed, so both are watched by what the vehicle reports: the speed by
 `OffboardController` (the control fence looks ahead), the tilt by `RawSource`. It must not exceed tilt_max_deg by more

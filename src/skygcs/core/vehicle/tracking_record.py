@@ -1,4 +1,4 @@
-"""How well a vehicle was seen to follow moving references, and how late setpoints reach it: what margins are made of.
+"""Measured tracking error and setpoint delay of a vehicle: terms of margins.
 
     tracking error   distance of each reported position, at most every 0.2 s under control, from the reference of the
                      time at which it was measured: its reception less the downlink's delay. p99 while the reference
@@ -7,8 +7,8 @@
     delay            p99 of the round trips of pings less half of the shortest: what a setpoint takes at most, if uplink
                      and downlink of the quickest ping took alike long
 
-A position that comes twice a second is up to 0.5 s old when a tick reads it. Carried on by its velocity and compared
-with the present reference, it counted 0.3 to 0.4 m on a circle on which the vehicle was 0.22 m off (simulated).
+Compared with the present reference, positions of 2 Hz would count 0.3 to 0.4 m on a circle on which the vehicle is 0.22
+m off (simulated).
 
 The last half hour to hour of it counts. Until enough was measured there is no answer, and defaults hold. Pure.
 """

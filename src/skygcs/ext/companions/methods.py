@@ -77,7 +77,7 @@ class CompanionsStatus(Result):
 
 
 def companions_status(context: Context, _: NoParams) -> JsonObject:
-    """The ground's connections to its companions with their clocks; on a companion, its link to the ground."""
+    """The ground's connections to its companions; on a companion, its link to the ground."""
     services = context.services
     table = "companion" if "companion" in services.config.extensions else "companions"
     answer: JsonObject = services.extensions[table].status()

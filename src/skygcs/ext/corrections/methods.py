@@ -11,7 +11,7 @@ from skygcs.rpc.models import NoParams
 
 
 def corrections_survey(context: Context, _: NoParams) -> JsonObject:
-    """Have the receiver of [corrections] forget its position and survey it in anew, as after its antenna was moved."""
+    """Have the receiver of [corrections] survey its position in anew, as after its antenna was moved."""
     answer: JsonObject = context.services.extensions["corrections"].restart_survey()
     return answer
 

@@ -54,10 +54,7 @@ class DrillsStatus(Result):
 
 
 async def drills_begin(context: Context, params: DrillBeginParams) -> JsonObject:
-    """Begin a fault in simulated vehicles, until it is ended; an active one gets the new value.
-
-    Only vehicles on links of type simulated can have one: it is put into their models, and nothing is sent.
-    """
+    """Begin a fault in vehicles on links of type simulated, until it is ended; an active one gets the new value."""
     drills = context.services.extensions["drills"]
     return as_json(drills.begin(context.services.fleet.resolve(params.targets), params.fault, params.value))
 

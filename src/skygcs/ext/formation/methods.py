@@ -118,7 +118,7 @@ class FormationStatus(Result):
 
 
 def formation_guide(context: Context, params: FormationGuideParams) -> JsonObject:
-    """Fly members to places of the caller's own, again and again; the filter keeps them apart."""
+    """Fly members to places of the caller's own, which a filter keeps apart."""
     places = {name: Moving(vector(place.pos_enu_m), vector(place.vel_enu_mps)) for name, place in params.places.items()}
     return shown(_keeper(context).guide(places, params.valid_s))
 
@@ -126,8 +126,8 @@ def formation_guide(context: Context, params: FormationGuideParams) -> JsonObjec
 async def formation_start(context: Context, params: FormationStartParams) -> JsonObject:
     """Fly several vehicles as a formation about a leader: a virtual point, or a vehicle.
 
-    Vehicles that are not under control are taken under position control first. A filter keeps every two apart
-    (docs/howto/formation.md); a formation of the same vehicles that flies already is given new places.
+    Vehicles are taken under position control first; a formation that flies already gets new places
+    (docs/howto/formation.md).
     """
     heading = None if params.heading_deg is None else math.radians(params.heading_deg)
     at = None if params.at_enu_m is None else vector(params.at_enu_m)
@@ -136,7 +136,7 @@ async def formation_start(context: Context, params: FormationStartParams) -> Jso
 
 
 def formation_move(context: Context, params: FormationMoveParams) -> JsonObject:
-    """Send the virtual leader to a place, or fly it with a velocity for a few seconds; without either it stays."""
+    """Send the virtual leader to a place, or fly it with a velocity; without either it stays."""
     keeper = _keeper(context)
     if params.to_enu_m is not None:
         speed_mps = keeper.config.speed_mps if params.speed_mps is None else params.speed_mps
@@ -162,7 +162,7 @@ def formation_stop(context: Context, params: NoParams) -> JsonObject:
 
 
 def formation_status(context: Context, params: NoParams) -> JsonObject:
-    """The formation: its leader, how far each member is from its place, and the least distance."""
+    """The formation: its leader, each member's distance from its place, and the least distance."""
     return shown(_keeper(context).status())
 
 

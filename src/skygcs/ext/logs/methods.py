@@ -45,8 +45,7 @@ async def recordings_list(context: Context, _: NoParams) -> JsonObject:
 
 
 async def recordings_replay(context: Context, params: ReplayParams) -> JsonObject:
-    """Have a recording replayed on a page of its own, on this computer, in place of another one. It ends after four
-    hours, and with the daemon."""
+    """Replay a recording on a page of its own, on this computer, in place of another one; at most four hours."""
     page: dict[str, Any] = await context.services.extensions["recordings"].replay(params.name)
     return page
 

@@ -60,7 +60,7 @@ class MocapStatus(Result):
 
 
 def mocap_status(context: Context, _: NoParams) -> JsonObject:
-    """The motion capture system, and the poses of each vehicle: rate, latency, drop-outs, what is wrong."""
+    """The motion capture system, and the poses of each vehicle."""
     answer: JsonObject = context.services.extensions["mocap"].feed.status()
     return answer
 

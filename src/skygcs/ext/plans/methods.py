@@ -65,10 +65,7 @@ class PlanFlightParams(MethodParams):
     force: bool = Field(False, description="Although it is refused by checks that force can override.")
     by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
-        description="goto: an order for each leg (phased plans). setpoints: a stream. onboard: by companions, or "
-        "as missions if no vehicle has one. mission: flown without the ground (phased plans without "
-        "barriers). auto: onboard if all have a companion, else setpoints if every link carries them,"
-        " else goto for a phased plan.",
+        description="What flies it (docs/howto/fly-several.md#by-goto-setpoints-or-on-board).",
     )
 
 
@@ -83,7 +80,11 @@ class PlanSpeedParams(MethodParams):
 
 
 class PlanForceParams(MethodParams):
-    force: bool = Field(False, description="Without what a certificate asks for.")
+    force: bool = Field(
+        False,
+        description="Without what a certificate asks for; resume: also with silent vehicles and those that "
+        "pilots fly, where they were measured.",
+    )
 
 
 class LoadedPlan(Result):
@@ -157,7 +158,7 @@ class PlanStatus(Result):
 def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
     """Take a plan in parts, for plan.load or plan.certify; a request has at most 1 MiB.
 
-    Four at a time, of all clients; one without a further part for a minute is dropped.
+    Four at a time; one without a further part for a minute is dropped.
     """
     services = context.services
     number, size = plans_of(services).runner.uploads.add(params.upload, params.part, services.now())
@@ -165,7 +166,7 @@ def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:
 
 
 async def plan_load(context: Context, params: PlanLoadParams) -> JsonObject:
-    """Keep a plan, in place of the one before; nothing moves. Refused while one is flown."""
+    """Keep a plan in place of the one before. Refused while one is flown."""
     content = params.upload if params.plan is None else params.plan
     assert content is not None
     try:
@@ -180,18 +181,14 @@ def plan_unload(context: Context, _: NoParams) -> JsonObject:
 
 
 async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
-    """Everything that is looked at before the plan is flown; nothing moves.
-
-    Preflight, positions, batteries, return heights, links, limits, and the certificates of the way to the starts and of
-    the plan. Vehicles that take no part are obstacles where they were measured.
-    """
+    """Check what plan.run checks (docs/howto/fly-several.md#what-a-plan-looks-at-first); nothing moves."""
     return await plans_of(context.services).runner.check(_request(params))
 
 
 async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
     """Check the plan, and fly it if the check passes: arm, take off in layers, fly to the starts, begin together.
 
-    Answered when vehicles begin to arm; the daemon flies it from then on, also without the client.
+    Answered when vehicles begin to arm; the daemon flies on without the client.
     """
     started, report = await plans_of(context.services).runner.run(
         _request(params), set_return_heights=params.set_return_heights
@@ -207,9 +204,8 @@ def plan_pause(context: Context, _: NoParams) -> JsonObject:
 async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
     """Go on after a pause or a stop.
 
-    Where all are at their places the clock goes on. Else a way back and the rest are certified anew: not ok names the
-    pair. Vehicles that landed are out of it; force also passes silent ones and those flown by their pilots, where they
-    were measured.
+    Where all are at their places the clock goes on; else a way back and the rest are certified anew. Vehicles that
+    landed are out of it.
     """
     ok, message, reasons = await plans_of(context.services).runner.resume(force=params.force)
     return {"ok": ok, "message": message, "reasons": reasons}
@@ -221,14 +217,14 @@ def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
 
 
 def plan_abort(context: Context, _: NoParams) -> JsonObject:
-    """Stop all on their ways for good, then order each to hold. Those that are only armed are disarmed."""
+    """Stop all for good, then order each to hold; those that only stand armed are disarmed."""
     return _done(plans_of(context.services).runner.abort())
 
 
 def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
     """Stop all, then land them where they are: at once, or the lowest first, as a certificate allows it.
 
-    Where none does, they stay; vehicles.land lands one all the same.
+    Where none does, they stay.
     """
     return _done(plans_of(context.services).runner.land(force=params.force))
 

@@ -157,11 +157,10 @@ class PlanMakeParams(CertifyParams):
     exchangeable: bool = Field(False, description="Any vehicle may take any goal.")
     by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
-        description="How plan.run is to fly it: by goto it is phased, with legs level or vertical and the margins"
-        " of autopilots' own ways. auto: as plan.run chooses.",
+        description="How plan.run is to fly it; goto: phased, with the margins of autopilots' own ways.",
     )
     kind: Literal["auto", "timed", "phased", "direct"] = Field(
-        "auto", description="Only plans of this kind. direct: all fly straight at once, as goto does."
+        "auto", description="Only plans of this kind; direct: all fly straight at once."
     )
 
     @model_validator(mode="after")
@@ -238,8 +237,8 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
     """Search a certified plan for vehicles: to positions, into a formation, or along written paths. Nothing moves.
 
     Starts are the measured positions, margins those of the fleet file and of what was measured. If some stand on the
-    ground, the plan is phased and begins with a climb, which is the floor unless space has one. Where space has no
-    fence or no ceiling, the control fences of the vehicles are.
+    ground, the plan begins with a climb, which is the floor unless space has one. Without a fence or ceiling in space
+    the control fences count.
     """
     facts = _Facts(context.services, params)
     limits = _limits(params.limits)
@@ -284,7 +283,7 @@ def plan_cancel(context: Context, params: PlanCancelParams) -> JsonObject:
 
 
 def plan_jobs(context: Context, _: NoParams) -> JsonObject:
-    """Return what is being planned, and what waits for it."""
+    """Plans that are being made, and requests that wait."""
     queue = plans_of(context.services).queue
     counters = queue.counters
     return {

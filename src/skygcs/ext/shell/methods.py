@@ -96,8 +96,7 @@ def _keeper(context: Context) -> ShellKeeper:
 def shell_open(context: Context, params: ShellOpenParams) -> JsonObject:
     """Open the console of a PX4: a new shell, whose prompt comes with shell.read.
 
-    One client at a time; it ends with its client. Refused for other firmware, and without force for a vehicle that is
-    not known to be disarmed.
+    For one client, with whom it ends. Refused without force for a vehicle that is not known to be disarmed.
     """
     return _keeper(context).open(context, params.vehicle, force=params.force)
 
@@ -105,7 +104,7 @@ def shell_open(context: Context, params: ShellOpenParams) -> JsonObject:
 def shell_write(context: Context, params: ShellWriteParams) -> JsonObject:
     """Send text to the shell. A line waits until the one before has been executed.
 
-    Without force each line is refused while the vehicle is not known to be disarmed.
+    Without force refused while the vehicle is not known to be disarmed.
     """
     return _keeper(context).write(params.session, params.text)
 
@@ -116,7 +115,7 @@ async def shell_read(context: Context, params: ShellReadParams) -> JsonObject:
 
 
 def shell_close(context: Context, params: SessionParams) -> JsonObject:
-    """End the session, and the shell; nothing is sent to a vehicle that is not known to be disarmed unless forced."""
+    """End the session, and the shell."""
     return _keeper(context).close_session(params.session)
 
 

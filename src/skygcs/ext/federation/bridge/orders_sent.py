@@ -214,7 +214,7 @@ class OrdersSent:
     async def answer_outcome(self, params: Json) -> Json:
         """Return what became of an order to a vehicle of another site, by the id that its outcome showed.
 
-        The site is asked. An order that has not come there by then is refused from then on.
+        An order that has not come to the site by then is refused from then on.
         """
         return await self.outcome(str(params["id"]))
 
