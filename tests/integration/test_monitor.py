@@ -60,7 +60,7 @@ async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insi
         assert status["counters"]["orders_refused"] == 4
 
 
-@pytest.mark.parametrize("doing", ["flies", "lands", "returns", "takes off"])
+@pytest.mark.parametrize("doing", ["flies", "returns", "takes off"])
 async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(tmp_path: Path, doing: str) -> None:
     """What was sent there was taken to fly with 5 m/s, what comes home or down straight on, what takes off to stand."""
     async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
@@ -69,9 +69,6 @@ async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(t
             case "flies":
                 await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 24.0, 4.0])
                 await asyncio.sleep(2.5)
-            case "lands":
-                await gcs.done("vehicles.land", targets="v1")
-                across = [0.0, 0.0, 3.0]
             case "returns":
                 await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 24.0, 10.0])
                 await asyncio.sleep(12.0)

@@ -58,7 +58,7 @@ OTHERS_S = 300.0
 MOVED_M = 1.0
 """Farther than one that hovers wanders by noise and gusts."""
 
-SILENT_S = 2.0
+SILENT_S = 1.0
 """The space of one whose position is older grows no more: it hovers, or flies its way home."""
 
 STANDS_MPS = 1.0
