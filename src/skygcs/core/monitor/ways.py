@@ -21,8 +21,8 @@ Point = tuple[float, float]
 """East, north in the common frame, m."""
 
 
-STEP_M = 2.0
-"""A sloped way is made of legs that climb by so much: in its metric each is half a margin's error high at most."""
+STEP_M, MOST_STEPS = 2.0, 16
+"""A sloped way is made of legs that climb by so much each; a long one of so many, to bound the work."""
 
 LEGS_A_PART = 8
 """Legs of which one box is looked at first: all pairs of two parts take a fraction of a millisecond."""
@@ -95,7 +95,8 @@ def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
     """Straight through these points, as exactly as legs of `STEP_M` are; a single one: it stays there."""
     between: list[Vector] = list(points[:1])
     for a, b in itertools.pairwise(points):
-        steps = max(1, math.ceil(abs(b[2] - a[2]) / STEP_M)) if math.isfinite(b[2] - a[2]) else 1
+        climb_m = min(abs(b[2] - a[2]), STEP_M * MOST_STEPS)
+        steps = math.ceil(climb_m / STEP_M) if climb_m > STEP_M else 1
         for n in range(1, steps + 1):
             x, y, z = (p + (q - p) * n / steps for p, q in zip(a, b, strict=True))
             between.append((x, y, z))
