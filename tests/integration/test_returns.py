@@ -167,13 +167,13 @@ async def test_one_alone_is_given_up_above_another_and_returns_when_it_is_ordere
     tmp_path: Path, by_pilot: bool
 ) -> None:
     """A pilot who hovers there counted as one that moves, for 300 s; a double click sent it home into the other one."""
-    async with aloft(tmp_path, px4=2) as gcs:
+    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
         await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 20.0, 10.0], force=True)
         await asyncio.sleep(12.0)
         await gcs.done("vehicles.goto", targets="v2", enu_m=[0.0, 0.0, 6.0], force=True)  # above the home of v1
         await asyncio.sleep(12.0)
         if by_pilot:
-            gcs.other_sets_mode(3, sysid=2)  # POSCTL
+            gcs.other_sets_mode(CopterMode.LOITER, sysid=2)
             await asyncio.sleep(2.0)
         since = gcs.now
         for _ in range(2):
