@@ -24,9 +24,8 @@ It is left to whatever else has taken it, in WAITS and before each order, and it
     another order to return                          waits or leaves by that one; if that one fails, as before
     the daemon ends, or stood still                  goes on holding
 
-One that is not heard counts where it was, and on its way home. A fault in the decision leaves them to return one at a
-time: with nothing known of them that moves the fewest at once. Whatever ends a wait is an event of order "rtl", with
-its reason.
+One that is not heard counts where it was, and on its way home. After a fault in the decision they return one at a time:
+with nothing known of them that moves the fewest at once. Whatever ends a wait is an event of order "rtl".
 """
 
 from __future__ import annotations

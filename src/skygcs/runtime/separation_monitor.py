@@ -24,7 +24,7 @@ from skygcs.core.monitor.order_check import (
     FRESH_S,
     Mover,
     Other,
-    climb_out_conflict,
+    climb_out_end,
     goto_conflict,
     holding_disc,
     mover_frame,
@@ -59,8 +59,6 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
-
-PLACE = ("lat_deg", "lon_deg", "alt_amsl_m")
 
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
@@ -251,11 +249,14 @@ class SeparationMonitor:
             return None
         others, now = self._others(frozenset()), self._loop.time()
         attitude = vehicle.telemetry("attitude")
-        if vehicle.abilities.takeoff.is_ahead and attitude is not None:
-            return self._refusal(climb_out_conflict(mover, height_m, math.radians(attitude["yaw_deg"]), others, now))
-        up = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
-        conflict = takeoff_conflict(mover, height_m, others, now)
-        return self._refusal(conflict or space_conflict(mover, up, self._ways(mover), strict=True))
+        ahead = vehicle.abilities.takeoff.is_ahead and attitude is not None
+        if ahead and attitude is not None:
+            to = climb_out_end(mover, height_m, math.radians(attitude["yaw_deg"]))
+            conflict = goto_conflict(mover, to, others, now)
+        else:
+            to = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
+            conflict = takeoff_conflict(mover, height_m, others, now)
+        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover), strict=not ahead))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -417,10 +418,16 @@ class SeparationMonitor:
         vehicle, home = actor.vehicle, actor.vehicle.telemetry("home")
         if vehicle.mode not in COMING_HOME or home is None or track.parked or track.circle_m:
             return None
-        here, home_m = frame.from_ecef(track.ecef_m), frame.from_geodetic(*(home[name] for name in PLACE))
-        height, lands = known_return_height(vehicle), vehicle.mode in LANDING
-        footprint = self.footprint(actor)
-        one = Returning(track.key, track.name, footprint, here, track.reported_mps, home_m, height, lands=lands)
+        one = Returning(
+            track.key,
+            track.name,
+            self.footprint(actor),
+            frame.from_ecef(track.ecef_m),
+            track.reported_mps,
+            frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]),
+            known_return_height(vehicle),
+            lands=vehicle.mode in LANDING,
+        )
         return one.as_seen().way(under_way=True)
 
     def _ways(

@@ -108,13 +108,11 @@ def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now
     )
 
 
-def climb_out_conflict(
-    mover: Mover, height_m: float, heading_rad: float, others: Iterable[Other], now: float
-) -> str | None:
-    """The same of the way of a plane that takes off ahead, and of the circle at its end. ``heading_rad``: compass."""
+def climb_out_end(mover: Mover, height_m: float, heading_rad: float) -> Place:
+    """Where the way ends of a plane that takes off ahead. ``heading_rad``: compass."""
     along_m = height_m / CLIMB_SLOPE
     end = (along_m * math.sin(heading_rad), along_m * math.cos(heading_rad), height_m)
-    return goto_conflict(mover, mover_frame(mover).to_geodetic(*end), others, now)
+    return mover_frame(mover).to_geodetic(*end)
 
 
 def setpoint_conflict(
