@@ -60,6 +60,37 @@ async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insi
         assert status["counters"]["orders_refused"] == 4
 
 
+@pytest.mark.parametrize("doing", ["flies", "returns", "takes off"])
+async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(tmp_path: Path, doing: str) -> None:
+    """What was sent there was taken to fly with 5 m/s, what comes home or down straight on, what takes off to stand."""
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        across, takes_off = [-4.0, 12.0, 7.0], None
+        match doing:
+            case "flies":
+                await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 24.0, 4.0])
+                await asyncio.sleep(2.5)
+            case "returns":
+                await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 24.0, 10.0])
+                await asyncio.sleep(12.0)
+                await gcs.done("vehicles.rtl", targets="v1")
+                across = [0.0, 0.0, 3.0]
+            case "takes off":
+                await gcs.done("vehicles.land", targets="v1")
+                await gcs.until(lambda: not gcs.sim("v1").armed, 90.0)
+                await asyncio.sleep(3.0)
+                takes_off = asyncio.create_task(gcs.done("vehicles.takeoff", targets="v1", height_m=9.0))
+                await asyncio.sleep(0.0)
+                across = [0.0, 0.0, 9.0]
+        outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=across))["outcomes"]
+        assert refused_for(outcomes, "v2", "v1"), outcomes
+        if takes_off is not None:
+            await takes_off
+            outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=across))["outcomes"]
+            assert refused_for(outcomes, "v2", "v1"), outcomes
+            await gcs.until(lambda: gcs.place("v1")[2] > 8.5, 30.0)
+            await gcs.done("vehicles.goto", targets="v1", enu_m=[-8.0, 0.0, 9.0])
+
+
 async def test_a_formation_that_moves_into_its_own_places_is_not_refused(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=3, conditions=EXACT) as gcs:
         before = [gcs.actor(f"v{i}").vehicle.enu_m() for i in (1, 2, 3)]

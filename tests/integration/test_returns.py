@@ -162,15 +162,24 @@ async def test_one_that_hovers_in_the_way_home_is_flown_over(tmp_path: Path, tar
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
-async def test_one_alone_is_given_up_above_another_and_returns_when_it_is_ordered_again(tmp_path: Path) -> None:
-    async with aloft(tmp_path, px4=2) as gcs:
+@pytest.mark.parametrize("by_pilot", [False, True])
+async def test_one_alone_is_given_up_above_another_and_returns_when_it_is_ordered_again(
+    tmp_path: Path, by_pilot: bool
+) -> None:
+    """A pilot who hovers there counted as one that moves, for 300 s; a double click sent it home into the other one."""
+    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
         await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 20.0, 10.0], force=True)
         await asyncio.sleep(12.0)
         await gcs.done("vehicles.goto", targets="v2", enu_m=[0.0, 0.0, 6.0], force=True)  # above the home of v1
         await asyncio.sleep(12.0)
+        if by_pilot:
+            gcs.other_sets_mode(CopterMode.LOITER, sysid=2)
+            await asyncio.sleep(2.0)
         since = gcs.now
-        outcome = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]
-        assert outcome["ok"] and outcome["message"].endswith("; ordered again (skygcs-cli rtl v1), it returns at once")
+        for _ in range(2):
+            outcome = (await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]
+            assert outcome["ok"] and "; ordered again (skygcs-cli rtl v1), it returns at once" in outcome["message"]
+            assert gcs.now - since < returns.SAME_S
         await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", "v1")), 150.0)
         assert gcs.now - since >= returns.STUCK_S, "v2 may be ordered away until then"
         (text,) = [t for t in gcs.texts(since, "command", "v1") if "does not return" in t]

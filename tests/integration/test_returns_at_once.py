@@ -137,6 +137,19 @@ async def test_one_that_was_ordered_home_before_and_is_lost_keeps_nobody_in_the_
         await gcs.until(lambda: sent_home(gcs, "v2", since) and sent_home(gcs, "v3", since), 30.0)
 
 
+async def test_one_that_is_lost_on_its_way_home_keeps_only_its_own_way_from_others(tmp_path: Path) -> None:
+    """Its space grew until it reached the others, far away, and they were given up."""
+    async with aloft(tmp_path, px4=0, ardupilot=4, settings={"vehicle_timeout_s": 2.0}) as gcs:
+        await gcs.done("vehicles.goto", targets="v4", enu_m=[60.0, 0.0, 10.0])
+        await crossed(gcs)
+        since = gcs.now
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        assert {n for n, o in outcomes.items() if "until v2 is out of its way" in o["message"]} == {"v1", "v3"}
+        gcs.muted.add(4)
+        await gcs.until(lambda: not any(sim.armed for sim in gcs.sims[:3]), 150.0)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
 async def test_those_that_wait_keep_clear_of_one_that_comes_down_where_it_is(tmp_path: Path) -> None:
     """v1 waits high above the way of v3, for v2; v3 waits for v4, which crosses its way. As v1 came down it was taken
     to stand, and then to fly home: v3 left below it, and was passed at 0.4 m."""

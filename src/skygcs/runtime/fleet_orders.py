@@ -305,6 +305,11 @@ class FleetOrders:
         # what each vehicle is to do: places of its own, or why it stays
         going = [actor for actor in vehicles if order is VehicleActor.goto and actor not in refusals]
         own_arguments, staying, sent = self._going(going, arguments) if going else ({}, {}, {})
+        for actor in vehicles if order is VehicleActor.takeoff else ():
+            height_m = arguments.get("height_m")
+            height_m = actor.config.takeoff_height_m if height_m is None else height_m
+            if actor not in refusals and (up := self._monitor.sent_up(actor, height_m)) is not None:
+                sent[actor] = up
         if order is onboard_orders.upload_plan:
             own_arguments, staying = await self._arranged(vehicles, arguments)
         refusals.update(staying.items())
@@ -354,7 +359,8 @@ class FleetOrders:
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
             for actor, sent in decided.sent.items():
-                self._monitor.arriving(actor, sent, ok=actor in tasks and _succeeded(tasks[actor]))
+                outcome = _outcome(tasks.get(actor))
+                self._monitor.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
             self._returning.run(decided.returning.values())
         return {name: tasks[a].result() if a in tasks else given.outcomes[name] for a, name in names.items()}
 
@@ -611,6 +617,8 @@ def _shaped(order: Order, outcome: Outcome) -> Any:
     return outcome
 
 
-def _succeeded(task: asyncio.Task[Outcome]) -> bool:
-    """True if an order ended well."""
-    return task.done() and not task.cancelled() and task.exception() is None and task.result().ok
+def _outcome(task: asyncio.Task[Outcome] | None) -> Outcome:
+    """The outcome of an order; of one that has none, that it was cancelled."""
+    if task is None or not task.done() or task.cancelled() or task.exception() is not None:
+        return Outcome(False, "cancelled", "cancelled")
+    return task.result()

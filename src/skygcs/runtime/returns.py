@@ -24,9 +24,8 @@ It is left to whatever else has taken it, in WAITS and before each order, and it
     another order to return                          waits or leaves by that one; if that one fails, as before
     the daemon ends, or stood still                  goes on holding
 
-The space of one that is not heard grows (`Footprint.ball_m`). A fault in the decision leaves them to return one at a
-time, whatever their ways are: with nothing known of them that moves the fewest at once. Whatever ends a wait is an
-event of order "rtl", with its reason.
+One that is not heard counts where it was, and on its way home. After a fault in the decision they return one at a time:
+with nothing known of them that moves the fewest at once. Whatever ends a wait is an event of order "rtl".
 """
 
 from __future__ import annotations
@@ -72,6 +71,9 @@ from skygcs.runtime.vehicle_services import OnEvent
 
 PERIOD_S = 0.5
 
+SAME_S = 1.0
+"""An order to return that comes again within this, as by a double click, is the same one and insists on nothing."""
+
 AGAIN_S = 5.0
 """After an order to one that waits which it did not take."""
 
@@ -107,6 +109,7 @@ class Waiting:
 
     actor: VehicleActor
     serial: int
+    asked_at: float
     at_end: AtEnd
     told: tuple[str, ...]
     step: Step
@@ -216,7 +219,7 @@ class Returns:
             if key not in decided.leave and key not in decided.waits_for:
                 continue
             step = Step.LEAVES if key in decided.leave else Step.HOLDS
-            waits = Waiting(actor, serial, at_end, decided.waits_for.get(key, ()), step)
+            waits = Waiting(actor, serial, now, at_end, decided.waits_for.get(key, ()), step)
             if alone is not None:
                 waits.hint = f"; ordered again (skygcs-cli rtl {actor.name}), it returns at once"
             older = self._waiting.get(key)
@@ -264,8 +267,9 @@ class Returns:
 
     def _is_insisted_on(self, actor: VehicleActor) -> bool:
         """True if this one was ordered to return, and waits, or was given up: it is ordered again, alone."""
-        key = actor.vehicle.key
-        return self.waits(key) or self._given_up.get(key) == actor.runner.ledger.effective
+        key, now = actor.vehicle.key, self._loop.time()
+        again = self.waits(key) and now - self._waiting[key].asked_at >= SAME_S
+        return again or self._given_up.get(key) == actor.runner.ledger.effective
 
     def _join(self, actor: VehicleActor) -> None:
         """A single vehicle is sent home: those that wait, or are to, keep clear of its way, too."""
@@ -484,10 +488,10 @@ class Returns:
             one = None if actor in free else self._returning(actor, now)
             if one is None:
                 continue
-            if self._is_under_way(actor, now):
-                under_way.append(one)
-            else:
-                flies = is_flying(actor.vehicle, now)
+            flies, comes = is_flying(actor.vehicle, now), self._is_under_way(actor, now)
+            silent = flies and not actor.vehicle.connected
+            under_way += [one] if comes or silent else []
+            if silent or not comes:
                 fixed.append(replace(one.place(), doing="in the air" if flies else "parked"))
         # those that are not ordered to return
         stays, moving = set(self._staying), set[str]()
@@ -543,7 +547,7 @@ class Returns:
     async def _leave(self, waits: Waiting) -> None:
         """A turn of the loop after the decision."""
         if not self._is_ours(waits):
-            self._waits_again(waits)
+            waits.step = Step.WAITS
             return
         outcome = await waits.actor.rtl()
         if not self._is_current(waits):
@@ -555,7 +559,7 @@ class Returns:
 
     async def _climb(self, waits: Waiting, goal_m: float) -> None:
         if not self._is_ours(waits):
-            self._waits_again(waits)
+            waits.step = Step.WAITS
             return
         actor, now = waits.actor, self._loop.time()
         one = self._returning(actor, now)
@@ -575,10 +579,6 @@ class Returns:
         )
         waits.goal_m = goal_m if outcome.ok else None
         self._ordered(waits, outcome)
-
-    def _waits_again(self, waits: Waiting) -> None:
-        if self._is_current(waits):
-            waits.step = Step.WAITS
 
     def _ordered(self, waits: Waiting, outcome: Outcome) -> None:
         """An order to one that goes on waiting has ended. A climb whose answer did not come may have changed the mode

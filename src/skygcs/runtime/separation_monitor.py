@@ -8,15 +8,15 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.monitor.approach import Vector
-from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, YIELDING_MODES
-from skygcs.core.monitor.departures import UNKNOWN, known_return_height
+from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
+from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
 from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
@@ -24,17 +24,19 @@ from skygcs.core.monitor.order_check import (
     FRESH_S,
     Mover,
     Other,
-    climb_out_conflict,
+    climb_out_end,
     find_conflicts,
     goto_conflict,
     holding_disc,
+    mover_frame,
     of_track,
     on_trajectory,
     setpoint_conflict,
+    space_conflict,
     takeoff_conflict,
 )
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
-from skygcs.core.monitor.ways import Way, along, find_way_conflicts
+from skygcs.core.monitor.ways import Way, find_way_conflicts, sloped
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -206,9 +208,18 @@ class SeparationMonitor:
         )
         return sent
 
-    def arriving(self, actor: VehicleActor, sent: Destination, *, ok: bool) -> None:
-        """The order of `sent_to` has ended: it flies there, or does not."""
+    def sent_up(self, actor: VehicleActor, height_m: float) -> Destination | None:
+        """It is ordered to take off; as `sent_to`. None: where it stands is not known, or it takes off ahead."""
+        here = fresh_position(actor.vehicle, self._loop.time())
+        if here is None or actor.vehicle.abilities.takeoff.is_ahead:
+            return None
+        return self.sent_to(actor, (here[0], here[1], here[2] + height_m))
+
+    def arriving(self, actor: VehicleActor, sent: Destination, *, ok: bool, number: int | None = None) -> None:
+        """The order of `sent_to` has ended: it flies there, or does not. ``number``: by which it went out at last."""
         key = actor.vehicle.key
+        if number is not None:
+            sent = sent._replace(order_number=number)
         taken = ok and actor.runner.ledger.effective <= sent.order_number
         known = self._destinations.get(key)
         newest = known is not None and known.serial == sent.serial
@@ -229,7 +240,8 @@ class SeparationMonitor:
         mover = self._mover(vehicle)
         if mover is None:
             return None
-        return self._refusal(goto_conflict(mover, to, self._others(together, only=only), self._loop.time()))
+        conflict = goto_conflict(mover, to, self._others(together, only=only), self._loop.time())
+        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, together, only=only)))
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
@@ -238,9 +250,14 @@ class SeparationMonitor:
             return None
         others, now = self._others(frozenset()), self._loop.time()
         attitude = vehicle.telemetry("attitude")
-        if vehicle.abilities.takeoff.is_ahead and attitude is not None:
-            return self._refusal(climb_out_conflict(mover, height_m, math.radians(attitude["yaw_deg"]), others, now))
-        return self._refusal(takeoff_conflict(mover, height_m, others, now))
+        ahead = vehicle.abilities.takeoff.is_ahead and attitude is not None
+        if ahead and attitude is not None:
+            to = climb_out_end(mover, height_m, math.radians(attitude["yaw_deg"]))
+            conflict = goto_conflict(mover, to, others, now)
+        else:
+            to = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
+            conflict = takeoff_conflict(mover, height_m, others, now)
+        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover), strict=not ahead))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -294,10 +311,12 @@ class SeparationMonitor:
         others = []
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             actor = self._actors.get(key)
-            if actor is None or actor in starting or track.parked or frame is None:
+            waits = track.parked and self._destination(key) is None
+            if actor is None or actor in starting or waits or frame is None:
                 continue
             flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
             way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
+            way = way or self._way_home(actor, track, frame)
             others.append(self._present_way(actor, track, frame, ahead=False) if way is None else way)
         return await self._way_refusals(ways, others) | self._landing_refusals(ways)
 
@@ -379,7 +398,7 @@ class SeparationMonitor:
             (west, east, south, north), (low_m, high_m) = way.box, way.heights
             stays = math.hypot(east - west, north - south, high_m - low_m) <= ARRIVED_M
             led = actor.offboard.flying or actor.vehicle.mode in MISSION_MODES
-            yield way, track.parked or (stays and not led and actor.vehicle.mode in YIELDING_MODES)
+            yield way, track.parked or (stays and not led)
 
     def _present_way(self, actor: VehicleActor, track: Track, frame: EnuFrame, *, ahead: bool = True) -> Way:
         """Where a vehicle is, and the way to where skygcs has sent it, else (``ahead``) where it flies straight on. Not
@@ -392,7 +411,40 @@ class SeparationMonitor:
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
         silence_s = 0.0 if track.parked else min(self._loop.time() - track.at, TRACK_SILENT_S)
         ball_m = track.footprint.ball_m(max(0.0, silence_s - FRESH_S))
-        return Way(track.key, track.name, self.footprint(actor), along(points), ball_m + holds.radius_m, doing)
+        return Way(track.key, track.name, self.footprint(actor), sloped(points), ball_m + holds.radius_m, doing)
+
+    def _way_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way | None:
+        """The way of one that comes home or down, by whatever order or failsafe; None: it does not, or that is not
+        known. A return height that was not read is taken to be the height that it is at."""
+        vehicle, home = actor.vehicle, actor.vehicle.telemetry("home")
+        if vehicle.mode not in COMING_HOME or home is None or track.parked or track.circle_m:
+            return None
+        one = Returning(
+            track.key,
+            track.name,
+            self.footprint(actor),
+            frame.from_ecef(track.ecef_m),
+            track.reported_mps,
+            frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]),
+            known_return_height(vehicle),
+            lands=vehicle.mode in LANDING,
+        )
+        return one.as_seen().way(under_way=True)
+
+    def _ways(
+        self, mover: Mover, together: frozenset[int] = frozenset(), *, only: frozenset[int] | None = None
+    ) -> Iterator[Way]:
+        """The ways of those that come home or down, or were sent somewhere; see `space_conflict`."""
+        frame = mover_frame(mover)
+        for key, track in self.monitor.tracks.tracks.items():
+            actor = self._actors.get(key)
+            if actor is None or key in together or key == mover.key or (only is not None and key not in only):
+                continue
+            if (way := self._way_home(actor, track, frame)) is not None:
+                yield way
+            elif self._destination(key) is not None:
+                way = self._present_way(actor, track, frame, ahead=False)
+                yield replace(way, ball_m=max(0.0, way.ball_m - track.circle_m))  # that is compared at its end
 
     def footprint(self, actor: VehicleActor) -> Footprint:
         """The space that a vehicle needs."""

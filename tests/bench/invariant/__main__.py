@@ -1,7 +1,8 @@
 """`make bench-invariant`: random flights in virtual time, judged by the simulators' truth. build/bench/invariant.json.
 
 No vehicle is unattended for longer than promised (`support.truth_monitor`), and no pair of a plan comes inside its
-certified margin. Half of the flights are of one daemon, a quarter of plans, a quarter of a companion and its ground.
+certified margin, nor two because of an order that was accepted (`support.random_orders`). A quarter of the flights
+each: control and its end, plans, orders to three vehicles, a companion and its ground.
 
 python -m bench.invariant [--flights 1000] [--first 0] [--jobs N]
 """
@@ -23,6 +24,7 @@ from typing import Any
 from bench.monitor.virtual import in_virtual_time
 from support.random_companions import fly_by_companion
 from support.random_flights import Judged, fly_randomly
+from support.random_orders import fly_by_orders
 from support.random_plans import fly_a_plan
 
 OUT = Path(__file__).resolve().parents[3] / "build" / "bench"
@@ -30,9 +32,10 @@ OUT = Path(__file__).resolve().parents[3] / "build" / "bench"
 KINDS: dict[str, Callable[[Path, int], Coroutine[Any, Any, Judged]]] = {
     "orders": fly_randomly,
     "plan": fly_a_plan,
+    "apart": fly_by_orders,
     "companion": fly_by_companion,
 }
-CYCLE = ("orders", "plan", "orders", "companion")
+CYCLE = ("orders", "plan", "apart", "companion")
 """The kind of a flight follows from its seed, so that one can be flown again alone."""
 
 

@@ -18,7 +18,7 @@ from skygcs.core.monitor.departures import (
     departures,
     one_at_a_time,
 )
-from skygcs.core.monitor.ways import standing
+from skygcs.core.monitor.ways import standing, too_near
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from support.examples import examples
 
@@ -231,3 +231,13 @@ def test_without_any_place_they_leave_one_at_a_time() -> None:
     waiting = {1: "v2", 2: "v1", 3: "v3"}
     assert one_at_a_time(waiting, ["v9"]) == Departures((), waits_for=dict.fromkeys((1, 2, 3), ("v9",)))
     assert one_at_a_time(waiting, []) == Departures((2,), waits_for={1: ("v1",), 3: ("v1",)})
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_one_whose_place_is_no_number_may_be_anywhere(axis: int) -> None:
+    """It counted as far away."""
+    here, nowhere = at(1, (0.0, 0.0, 10.0), (0.0, 0.0)), [50.0, 50.0, 10.0]
+    nowhere[axis] = math.nan
+    other = replace(here, key=2, here=(nowhere[0], nowhere[1], nowhere[2]), home=(50.0, 50.0, 0.0))
+    for way in (other.place(), other.way()):
+        assert too_near(here.way(), way) and too_near(way, here.way())

@@ -10,7 +10,7 @@ import pytest
 from skygcs.core.monitor.approach import Disc, Holder, arc, circle_conflict, gap_m, turn_radps
 from skygcs.core.monitor.conflict_levels import why_not_yield
 from skygcs.core.monitor.monitor import Monitor
-from skygcs.core.monitor.order_check import Mover, Other, climb_out_conflict, goto_conflict, takeoff_conflict
+from skygcs.core.monitor.order_check import Mover, Other, climb_out_end, goto_conflict, takeoff_conflict
 from skygcs.core.monitor.tracks import Track
 from skygcs.core.separation import Footprint
 from support.table import each
@@ -219,8 +219,8 @@ def test_nobody_takes_off_into_the_circle_of_a_plane() -> None:
 
 
 def test_a_plane_takes_off_ahead_and_not_straight_up() -> None:
-    plane = WatchedVehicle(1, "kite")
+    mine = mover(WatchedVehicle(1, "kite"), 0.0)
     ahead, above, behind = hovering(2, 0.0, 60.0, 32.0), hovering(3, 0.0, 0.0, 60.0), hovering(4, 0.0, -300.0, 60.0)
     for other, meets in ((ahead, True), (above, False), (behind, False)):
-        found = climb_out_conflict(mover(plane, 0.0), 50.0, 0.0, [Other(seen(other))], 1000.0)
+        found = goto_conflict(mine, climb_out_end(mine, 50.0, 0.0), [Other(seen(other))], 1000.0)
         assert (found is not None) is meets, (other.vehicle.name, found)

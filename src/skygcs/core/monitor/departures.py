@@ -58,6 +58,9 @@ OTHERS_S = 300.0
 MOVED_M = 1.0
 """Farther than one that hovers wanders by noise and gusts."""
 
+SILENT_S = 1.0
+"""The space of one whose position is older grows no more: it hovers, or flies its way home."""
+
 STANDS_MPS = 1.0
 """Faster than by wind and GPS noise: it still brakes, its space shrinks, and whether it gets by is judged then."""
 
@@ -141,9 +144,14 @@ class Returning:
         return max(self.here[2] + self.height.climb_m, self.home[2] + self.height.most_m)
 
     @property
+    def near_m(self) -> float:
+        """How far it may be from its place, or from its way."""
+        return self.footprint.ball_m(min(self.age_s, SILENT_S))
+
+    @property
     def ball_m(self) -> float:
         speed_mps = math.hypot(*self.velocity_mps[:2])
-        return self.footprint.ball_m(self.age_s) + speed_mps * speed_mps / (2.0 * BRAKES_MPS2)
+        return self.near_m + speed_mps * speed_mps / (2.0 * BRAKES_MPS2)
 
     def as_seen(self) -> Returning:
         """Itself without what is not known of its way: how it brakes, where it is since its last position, and, if that
@@ -169,7 +177,7 @@ class Returning:
             low_m = max(self.here[2], self.home[2] + self.height.least_m)
             level = Leg(here_xy, home_xy, low_m, self.highest_m)
             legs = (column(self.here, self.highest_m), level, column(self.home, self.highest_m))
-        ball_m = self.footprint.ball_m(self.age_s) if under_way else self.ball_m
+        ball_m = self.near_m if under_way else self.ball_m
         return Way(self.key, self.name, self.footprint, legs, ball_m, "returns" if under_way else "waits")
 
 

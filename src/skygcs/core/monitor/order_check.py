@@ -1,9 +1,14 @@
 """Check whether an order or trajectories would bring a vehicle too close to another, before they begin.
 
-The path of the order is a straight line, flown at once with `GOTO_MPS`, after which the vehicle stays. What is parked
-or stands in the air is taken to stay, what moves to fly straight on for the horizon, and what skygcs has sent somewhere
-to fly there and stay; one that may do either is given as two `Other`. That is a model: speeds differ, and the monitor
-goes on watching.
+The path of the order is a straight line, after which the vehicle stays.
+
+    another vehicle                           is compared
+    ---------------------------------------   ----------------------------------------------------------------------
+    is parked, or stands in the air           where it is
+    was sent somewhere, comes home or down    as space with its way (`space_conflict`): when either of the two is where
+                                              is not known, as they climb, sink and fly with speeds of their own
+    flies otherwise                           flying straight on for the horizon, while this one flies `GOTO_MPS`: a
+                                              model, and the monitor goes on watching
 
 Trajectories are checked against others, and each other, on all their way.
 
@@ -20,11 +25,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
 from skygcs.core.monitor.approach import (
+    REST,
     Disc,
     Holder,
     Piece,
@@ -35,6 +41,7 @@ from skygcs.core.monitor.approach import (
 )
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, scaled_pieces
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
+from skygcs.core.monitor.ways import Way, conflict_text, distance_m, sloped, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
@@ -77,7 +84,8 @@ class Mover:
 
 
 class Other(NamedTuple):
-    """A vehicle that may be in the way, and where skygcs has sent it; None: nowhere that is known."""
+    """A vehicle that may be in the way, and where skygcs has sent it; None: nowhere that is known. With a destination
+    only the circle counts here by which it holds there: its way is one of `space_conflict`."""
 
     track: Track
     destination: Place | None = None
@@ -102,7 +110,7 @@ class _Path(NamedTuple):
 
 def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) -> str | None:
     """With which vehicle the straight way to a place conflicts, in words; None: with none."""
-    frame, others = _frame(mover), list(others)
+    frame, others = mover_frame(mover), list(others)
     end = frame.from_geodetic(*to)
     way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
     return way or circle_conflict(
@@ -113,7 +121,7 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
 def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now: float) -> str | None:
     """The same of the way up, and of where it holds then. Vehicles that stand too near already count: it may be carried
     sideways as it rises."""
-    frame, others, end = _frame(mover), list(others), (0.0, 0.0, height_m)
+    frame, others, end = mover_frame(mover), list(others), (0.0, 0.0, height_m)
     path = _straight(end, CLIMB_MPS, HORIZON_S)._replace(strict=True)
     way = _conflict(mover, frame, path, others, now)
     return way or circle_conflict(
@@ -121,20 +129,18 @@ def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now
     )
 
 
-def climb_out_conflict(
-    mover: Mover, height_m: float, heading_rad: float, others: Iterable[Other], now: float
-) -> str | None:
-    """The same of the way of a plane that takes off ahead, and of the circle at its end. ``heading_rad``: compass."""
+def climb_out_end(mover: Mover, height_m: float, heading_rad: float) -> Place:
+    """Where the way ends of a plane that takes off ahead. ``heading_rad``: compass."""
     along_m = height_m / CLIMB_SLOPE
     end = (along_m * math.sin(heading_rad), along_m * math.cos(heading_rad), height_m)
-    return goto_conflict(mover, _frame(mover).to_geodetic(*end), others, now)
+    return mover_frame(mover).to_geodetic(*end)
 
 
 def setpoint_conflict(
     mover: Mover, to: Place | None, velocity_mps: Vector, others: Iterable[Other], now: float
 ) -> str | None:
     """The same of one setpoint of a stream: a place to be at now, or without one a velocity (true ENU)."""
-    frame = _frame(mover)
+    frame = mover_frame(mover)
     if to is None:
         path = _Path((Piece(AHEAD_S, velocity_mps),), AHEAD_S, 0.0, False)
     else:
@@ -142,7 +148,25 @@ def setpoint_conflict(
     return _conflict(mover, frame, path, others, now)
 
 
-def _frame(mover: Mover) -> EnuFrame:
+def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False) -> str | None:
+    """With which of these ways (in `mover_frame`) the straight way to a place conflicts, in words, whichever of the two
+    is where; None: with none. ``strict``: although it is not nearer there than it is."""
+    mine = Way(mover.key, mover.name, mover.footprint, sloped((REST, mover_frame(mover).from_geodetic(*to))))
+    here = replace(mine, legs=standing(REST))
+    worst: tuple[float, Way] | None = None
+    for way in ways:
+        if not too_near(mine, way):
+            continue
+        near_m = distance_m(mine, way)
+        if not strict and too_near(here, way) and near_m > distance_m(here, way) - NEARER_M:
+            continue
+        if worst is None or near_m < worst[0]:
+            worst = near_m, way
+    return None if worst is None else conflict_text(mine, worst[1], worst[0])
+
+
+def mover_frame(mover: Mover) -> EnuFrame:
+    """East, north, up of where it is."""
     return EnuFrame(Origin(*mover.here))
 
 
@@ -177,7 +201,7 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
     worst: tuple[float, str] | None = None
     for other in others:
         track = other.track
-        if track.key == mover.key:
+        if track.key == mover.key or other.destination is not None:
             continue
         margin = pair_margin(mover.footprint, track.footprint)
         ratio = margin.downwash_ratio
@@ -187,7 +211,7 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         # too far away to be reached by either of them
         theirs_m = 0.0 if track.parked else math.hypot(*track.reported_mps) * (path.duration_s + path.ahead_s + age_s)
         away_m = math.dist(here_m, track.ecef_m)
-        if away_m > length_m + theirs_m + radius_m * ratio and other.destination is None:
+        if away_m > length_m + theirs_m + radius_m * ratio:
             continue
         offset, pieces, horizon_s = _their_path(frame, other, age_s, path)
         near = closest_on_paths(
@@ -215,10 +239,6 @@ def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tup
     speed_mps = math.hypot(u, v, w)
     if track.lost:
         return here, (), horizon_s
-    if other.destination is not None and path.ahead_s > 0.0:
-        end = frame.from_geodetic(*other.destination)
-        way = _straight((end[0] - here[0], end[1] - here[1], end[2] - here[2]), max(speed_mps, GOTO_MPS), 0.0)
-        return here, way.pieces, horizon_s + way.duration_s
     if speed_mps <= 2 * NOISE_MPS:
         return here, (), horizon_s
     return here, (Piece(math.inf, (u, v, w)),), horizon_s if path.ahead_s == 0.0 else min(horizon_s, HORIZON_S)

@@ -21,6 +21,9 @@ Point = tuple[float, float]
 """East, north in the common frame, m."""
 
 
+STEP_M, MOST_STEPS = 2.0, 16
+"""A sloped way is made of legs that climb by so much each; a long one of so many, to bound the work."""
+
 LEGS_A_PART = 8
 """Legs of which one box is looked at first: all pairs of two parts take a fraction of a millisecond."""
 
@@ -54,6 +57,12 @@ class Way:
         return min(east), max(east), min(north), max(north)
 
     @cached_property
+    def is_known(self) -> bool:
+        """False if one of its numbers is none: it may be anywhere."""
+        numbers = (x for leg in self.legs for x in (*leg.begin, *leg.end, leg.low_m, leg.high_m))
+        return not any(map(math.isnan, (self.ball_m, *numbers)))
+
+    @cached_property
     def heights(self) -> tuple[float, float]:
         """The lowest and highest of its legs."""
         return min(leg.low_m for leg in self.legs), max(leg.high_m for leg in self.legs)
@@ -82,13 +91,27 @@ def along(points: Sequence[Vector]) -> tuple[Leg, ...]:
     )
 
 
+def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
+    """Straight through these points, as exactly as legs of `STEP_M` are; a single one: it stays there."""
+    between: list[Vector] = list(points[:1])
+    for a, b in itertools.pairwise(points):
+        climb_m = min(abs(b[2] - a[2]), STEP_M * MOST_STEPS)
+        steps = math.ceil(climb_m / STEP_M) if climb_m > STEP_M else 1
+        for n in range(1, steps + 1):
+            x, y, z = (p + (q - p) * n / steps for p, q in zip(a, b, strict=True))
+            between.append((x, y, z))
+    return along(between)
+
+
 def needed_m(a: Way, b: Way) -> float:
     """How far apart two ways have to be, in the metric of their margin."""
     return pair_margin(a.footprint, b.footprint).total_m + a.ball_m + b.ball_m
 
 
 def distance_m(a: Way, b: Way) -> float:
-    """The least distance of two ways in the metric of their margin."""
+    """The least distance of two ways in the metric of their margin; 0 if one of them is not known."""
+    if not (a.is_known and b.is_known):
+        return 0.0
     ratio = pair_margin(a.footprint, b.footprint).downwash_ratio
     return min((_legs_distance_m(p, q, ratio) for p in a.legs for q in b.legs), default=math.inf)
 
@@ -96,11 +119,13 @@ def distance_m(a: Way, b: Way) -> float:
 def too_near(a: Way, b: Way) -> bool:
     """True if two vehicles on these ways could come nearer than they need."""
     need_m = needed_m(a, b)
-    return _boxes_meet(a, b, need_m) and distance_m(a, b) < need_m
+    return _boxes_meet(a, b, need_m) and not distance_m(a, b) >= need_m
 
 
 def _boxes_meet(a: Way, b: Way, need_m: float) -> bool:
     """False if they are farther apart than that over the ground, or in height: most pairs of a fleet."""
+    if not (a.is_known and b.is_known):
+        return True
     p, q = a.box, b.box
     if p[0] - need_m > q[1] or q[0] - need_m > p[1] or p[2] - need_m > q[3] or q[2] - need_m > p[3]:
         return False
@@ -119,9 +144,9 @@ def find_way_conflicts(starting: Sequence[Way], others: Sequence[Way], found: di
             near_m = yield from _nearest_m(way, other)
             if other.key == way.key or near_m >= needed_m(way, other):
                 continue
-            found.setdefault(way.key, _text(way, other, near_m))
+            found.setdefault(way.key, conflict_text(way, other, near_m))
             if starts_too:
-                found.setdefault(other.key, _text(other, way, near_m))
+                found.setdefault(other.key, conflict_text(other, way, near_m))
 
 
 def _nearest_m(a: Way, b: Way) -> Generator[None, None, float]:
@@ -141,7 +166,8 @@ def _nearest_m(a: Way, b: Way) -> Generator[None, None, float]:
     return nearest_m
 
 
-def _text(way: Way, other: Way, near_m: float) -> str:
+def conflict_text(way: Way, other: Way, near_m: float) -> str:
+    """That one would come so near another, for people."""
     ratio = pair_margin(way.footprint, other.footprint).downwash_ratio
     return (
         f"{way.name} would come {near_m:.1f} m near {other.name} ({other.doing}); they need "
