@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from skygcs.cancellation import carried_through
-from skygcs.config.files import write_whole
+from skygcs.config.files import read_state, write_whole
 from skygcs.config.models import LinkConfig
 from skygcs.config.signing import EVERY_MESSAGE, read_key
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
@@ -71,6 +71,15 @@ class Kept(NamedTuple):
     """This computer's clock at that time; 0 in older files."""
 
 
+def _kept(table: Any) -> Kept:
+    """For `read_state`."""
+    if table["format"] != FORMAT:
+        raise ValueError(f"format {table['format']}")
+    margin = 0 if table["exact"] else int(AFTER_CRASH_S * TICKS_PER_S)
+    wall = min(max(int(table.get("wall", 0)), 0), MAX_TIMESTAMP)
+    return Kept(min(max(int(table["timestamp"]), 0) + margin, MAX_TIMESTAMP), wall)
+
+
 class SigningStore:
     """One file per key, named by its id and without the key. ``problem``: why the last access failed, or empty."""
 
@@ -84,19 +93,12 @@ class SigningStore:
             return Kept(0, 0)
         path = self._path(key_id)
         try:
-            with open(path, "rb") as file:
-                table = json.loads(file.read(MAX_FILE_BYTES))
-            if table["format"] != FORMAT:
-                raise ValueError(f"format {table['format']}")
-            timestamp, exact = int(table["timestamp"]), bool(table["exact"])
-            wall = min(max(int(table.get("wall", 0)), 0), MAX_TIMESTAMP)
+            return read_state(path, MAX_FILE_BYTES, _kept)
         except FileNotFoundError:
             return Kept(0, 0)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             self.problem = f"{path} cannot be read ({error})"
             return Kept(0, 0)
-        margin = 0 if exact else int(AFTER_CRASH_S * TICKS_PER_S)
-        return Kept(min(max(timestamp, 0) + margin, MAX_TIMESTAMP), wall)
 
     def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool) -> None:
         """Save it atomically; ``exact``: no later stamp will be used before the next `load`."""
@@ -280,6 +282,7 @@ class Signing:
         key = self._keys.get(secret)
         if key is None:
             clock = SigningClock(*self._store.load(key_id(secret)))
+            self._report_store()  # before a save, which replaces what could not be read
             clock.see_wall(self._wall())
             key = self._keys[secret] = _Key(secret, clock, saved=0)
             if self.is_pinned(secret):
@@ -470,12 +473,15 @@ class Signing:
             self._store.problem = f"the clock of key {key.id} cannot be written ({error.strerror})"
 
     def _report_store(self) -> None:
-        """A clock that cannot be saved is reported once per reason."""
+        """A clock that cannot be read or saved is reported once per reason, and once when it is saved again."""
         problem = self._store.problem
-        if problem and problem != self._store_failed:
-            text = f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
-            self._on_event(Event("warning", None, None, f"signing: {text}", {}))
+        if problem == self._store_failed:
+            return
+        text = f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
+        if not problem:
+            text = "the clocks of the keys are saved again"
         self._store_failed = problem
+        self._on_event(Event("warning", None, None, f"signing: {text}", {}))
 
 
 def _duration(seconds: float) -> str:
