@@ -158,6 +158,8 @@ class _Key:
     secret: bytes = field(repr=False)
     clock: SigningClock
     saved: int
+    pinned: bool = False
+    """`Signing.is_pinned`, as it was reported last."""
 
     @property
     def id(self) -> str:
@@ -285,9 +287,7 @@ class Signing:
             self._report_store()  # before a save, which replaces what could not be read
             clock.see_wall(self._wall())
             key = self._keys[secret] = _Key(secret, clock, saved=0)
-            if self.is_pinned(secret):
-                data = {"key_id": key.id, "ahead_s": round(self._ahead_s(key))}
-                self._on_event(Event("warning", None, None, f"signing: {self.pinned_text(secret)}", data))
+            self._report_pinned(key)
         return key
 
     def is_pinned(self, secret: bytes) -> bool:
@@ -448,6 +448,7 @@ class Signing:
             while True:
                 await asyncio.sleep(1.0)
                 for key in list(self._keys.values()):
+                    self._report_pinned(key)
                     if key.clock.timestamp - key.saved > SAVE_EVERY_S * TICKS_PER_S or not key.saved:
                         stamp = max(key.clock.timestamp, self._wall())
                         key.clock.see_wall(self._wall())
@@ -471,6 +472,13 @@ class Signing:
             await self.disk.run("a clock of signing", job, within_s=CLOSE_S)
         except OSError as error:
             self._store.problem = f"the clock of key {key.id} cannot be written ({error.strerror})"
+
+    def _report_pinned(self, key: _Key) -> None:
+        """A clock that has come too far ahead is reported once: at the start, or since this computer's was set back."""
+        before, key.pinned = key.pinned, self.is_pinned(key.secret)
+        if key.pinned and not before:
+            data = {"key_id": key.id, "ahead_s": round(self._ahead_s(key))}
+            self._on_event(Event("warning", None, None, f"signing: {self.pinned_text(key.secret)}", data))
 
     def _report_store(self) -> None:
         """A clock that cannot be read or saved is reported once per reason, and once when it is saved again."""

@@ -127,6 +127,22 @@ async def test_a_clock_that_cannot_be_read_is_reported_before_it_is_replaced(tmp
     assert events[1].text.endswith("saved again")
 
 
+@pytest.mark.looptime
+async def test_a_computer_whose_clock_was_a_year_ahead_for_a_while_reports_it_when_that_is_set_back() -> None:
+    """What it signs stays a year ahead, and was reported by the next start only."""
+    wall, events = [1.8e9], list[Event]()
+    signing = Signing(load_dialect("all"), events.append, SigningStore(None), lambda: wall[0])
+    signing.key_of(bytes(32))
+    task = asyncio.create_task(signing.run())
+    for step_s in (0.0, 365 * 86400.0, 0.0, -365 * 86400.0, 0.0):
+        wall[0] += step_s
+        signing.stamp(bytes(32))  # a message is sent
+        await asyncio.sleep(15.0)
+    await ended(task)
+    (event,) = [event for event in events if "ahead_s" in event.data]
+    assert "365 days ahead" in event.text and "reset-clock" in event.text
+
+
 async def test_at_the_end_every_clock_is_saved_however_often_the_task_is_cancelled(tmp_path: Path) -> None:
     class Disk:
         """One that takes a turn of the loop for each job."""
