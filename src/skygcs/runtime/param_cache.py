@@ -158,7 +158,7 @@ def _encode(cached: CachedParams, key: CacheKey) -> dict[str, Any]:
 
 
 def _decode(table: dict[str, Any], key: CacheKey) -> CachedParams | None:
-    """For `read_state`."""
+    """Decode a file, for `read_state`."""
     if table["format"] != FORMAT or table["firmware"] != key.firmware:
         return None
     params = tuple(

@@ -72,7 +72,7 @@ class Kept(NamedTuple):
 
 
 def _kept(table: Any) -> Kept:
-    """For `read_state`."""
+    """Decode a file, for `read_state`."""
     if table["format"] != FORMAT:
         raise ValueError(f"format {table['format']}")
     margin = 0 if table["exact"] else int(AFTER_CRASH_S * TICKS_PER_S)
