@@ -16,7 +16,8 @@ WANTED = 4096
 """A full daemon: 255 TCP clients, each with an epoll of its own, 192 sessions, links, files."""
 
 DESCRIPTORS_KEPT = 24
-"""File descriptors kept free for the next clients on this computer, and for files that are opened for a moment."""
+"""File descriptors kept free for the next clients on this computer, and for files that are opened for a moment; of a
+small limit a quarter."""
 
 STANDARD = {"stdin": "r", "stdout": "w", "stderr": "w"}
 """Streams of `sys` on the descriptors 0, 1 and 2, with their modes."""
@@ -34,7 +35,7 @@ def raise_limit() -> None:
 def is_of_the_last(descriptor: int) -> bool:
     """True if a file with this number is one of those that are kept."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return soft != resource.RLIM_INFINITY and descriptor >= soft - DESCRIPTORS_KEPT
+    return soft != resource.RLIM_INFINITY and descriptor >= soft - min(DESCRIPTORS_KEPT, soft // 4)
 
 
 def hold_standard() -> None:

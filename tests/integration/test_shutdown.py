@@ -235,13 +235,17 @@ async def test_a_take_off_that_has_armed_only_is_disarmed_again(tmp_path: Path, 
             await asyncio.sleep(0.3 * at)
             climbing = any(c.values["command"] == 22 for c in gcs.commands(-1.0, name))
             await gcs.stopped(WITHIN_S)
-            await asyncio.gather(flight, return_exceptions=True)
+            (outcome,) = await asyncio.gather(flight, return_exceptions=True)
+            if climbing and isinstance(outcome, dict) and not outcome["ok"]:
+                assert outcome["result"] == "cancelled" and "may follow it" in outcome["message"], outcome
+                assert "disarm" not in outcome["message"], outcome
+                seen.add("cut short")
             await asyncio.sleep(3)
             assert climbing or not sim.armed, at
             assert climbing or not any(c.values["command"] == 22 for c in gcs.commands(-1.0, name)), at
             armed = any(c.values["command"] == 400 for c in gcs.commands(-1.0, name))
             seen.add("climbing" if climbing else "armed" if armed else "begun")
-    assert {"climbing", "armed"} <= seen, seen
+    assert {"climbing", "armed", "cut short"} <= seen, seen
 
 
 @pytest.mark.deep  # as a daemon that ends there

@@ -5,14 +5,18 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import stat
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from skygcs.errors import KeyFileError, LinkError
+
+T = TypeVar("T")
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -35,6 +39,17 @@ def open_regular(path: Path) -> BinaryIO:
     except BaseException:
         os.close(handle)
         raise
+
+
+def read_state(path: Path, max_bytes: int, decode: Callable[[Any], T]) -> T:
+    """``decode`` of the JSON in a file that this program keeps for its next start. Raises OSError, and ValueError for
+    content that is damaged: no JSON, or none that ``decode`` takes, whatever that raises."""
+    with open_regular(path) as file:
+        content = file.read(max_bytes)
+    try:
+        return decode(json.loads(content))
+    except (LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
+        raise ValueError(str(error)) from error
 
 
 MAX_NAMED_BYTES = 32 << 20

@@ -542,7 +542,8 @@ class Sessions:
         self._reserve: dict[Session, None] = {}
         self._unauthenticated: dict[Session, None] = {}
         self._lingering: deque[asyncio.Transport] = deque()
-        self._full = False
+        self._full_at: int | None = None
+        """How many had a place when it was reported that there are no more; None: there are."""
         self._reported_at = float("-inf")
 
     # -- places
@@ -564,14 +565,14 @@ class Sessions:
         elif session.is_of_the_last and not session.is_local:
             self._reserve[session] = None
             self._dismiss(session, "connections_refused", "no descriptors are left for clients of other computers")
-        elif (len(self._placed) < MAX_SESSIONS and not session.is_of_the_last) or self._close_idle():
+        elif self._has_place_for(session):
             self._placed[session] = None
         else:
             self._let_in_beyond(session)
 
     def promote(self, session: Session) -> bool:
         """True if a connection beyond the places has one now."""
-        if len(self._placed) >= MAX_SESSIONS and not self._close_idle():
+        if not self._has_place_for(session):
             return False
         del self._reserve[session]
         self._placed[session] = None
@@ -583,8 +584,8 @@ class Sessions:
         """The session has ended. Idempotent."""
         for group in (self._placed, self._reserve, self._unauthenticated):
             group.pop(session, None)
-        if self._full and len(self._placed) <= AMPLE_SHARE * MAX_SESSIONS:
-            self._full = False
+        if self._full_at is not None and len(self._placed) < AMPLE_SHARE * self._full_at:
+            self._full_at = None
             text = "clients: sessions are free again"
             self.services.event_log.publish(Event("warning", None, None, text, {"change": "not_full"}))
 
@@ -603,8 +604,14 @@ class Sessions:
             transport.abort()
 
     def why_restricted(self) -> str:
-        """Reason for a client that came when all places were taken."""
-        return f"all {MAX_SESSIONS} places are taken"
+        """Reason for a client that came when there was no place for it."""
+        if len(self._placed) >= MAX_SESSIONS:
+            return f"all {MAX_SESSIONS} places are taken"
+        return f"the process has no more file descriptors for clients (ulimit -n), with {len(self._placed)} connected"
+
+    def _has_place_for(self, session: Session) -> bool:
+        """True if it may stay beside the others, of whom the one that was idle for longest may be closed for it."""
+        return (len(self._placed) < MAX_SESSIONS and not session.is_of_the_last) or self._close_idle()
 
     def _close_idle(self) -> bool:
         """True if a place was made free by closing the session that was idle for longest."""
@@ -612,22 +619,21 @@ class Sessions:
         idle = max(self._placed, key=lambda session: session.idle_s(now), default=None)
         if idle is None or idle.idle_s(now) < IDLE_S:
             return False
-        reason = f"closed: idle for {idle.idle_s(now):.0f} s, and all {MAX_SESSIONS} places were taken"
+        reason = f"closed: idle for {idle.idle_s(now):.0f} s, and {self.why_restricted()}"
         self._dismiss(idle, "closed_idle", reason)
         return True
 
     def _let_in_beyond(self, session: Session) -> None:
         now = self.loop.time()
-        if not self._full and now - self._reported_at >= EVENT_QUIET_S:
-            self._full = True
+        if self._full_at is None and now - self._reported_at >= EVENT_QUIET_S:
+            self._full_at = len(self._placed)
             self._reported_at = now
             text = (
-                f"clients: all {MAX_SESSIONS} places are taken, {self._holders()}; further ones may only stop, hold, "
-                "land, return and disarm vehicles and read their state; close some"
+                f"clients: {self.why_restricted()}{self._holders()}; further ones may only stop, hold, land, return "
+                "and disarm vehicles and read their state; close some"
             )
-            self.services.event_log.publish(
-                Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS})
-            )
+            data = {"change": "full", "places": MAX_SESSIONS}
+            self.services.event_log.publish(Event("warning", None, None, text, data))
         self.counters["connections_restricted"] += 1
         if len(self._reserve) >= MAX_RESERVE or session.is_of_the_last:
             silent = next((other for other in self._reserve if not other.busy), None)
@@ -648,10 +654,10 @@ class Sessions:
         session.dismiss(reason)
 
     def _holders(self) -> str:
-        """The processes that hold most places."""
+        """The processes that hold most places, as the end of a clause."""
         pids = Counter(found.pid for session in self._placed if (found := session.credentials) is not None)
-        held = ", ".join(f"{number} by process {pid}" for pid, number in pids.most_common(3))
-        return held or "by TCP clients"
+        held = [f"{number} by process {pid}" for pid, number in pids.most_common(3)]
+        return "".join(f", {part}" for part in held or (["by TCP clients"] if self._placed else []))
 
     def _number(self) -> int:
         return len(self._placed) + len(self._reserve) + len(self._unauthenticated)

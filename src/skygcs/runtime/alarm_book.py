@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.files import make_log_folder, open_regular, write_whole
+from skygcs.config.files import make_log_folder, read_state, write_whole
 from skygcs.config.models import AlarmsConfig
 from skygcs.core.alarms import OF_THE_PROCESS, RULES, Alarm, Alarms, Signal, VehicleFacts, battery, signals
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -55,11 +55,10 @@ class AlarmBook:
     def recall(self) -> None:
         """Take over the alarms of the daemon before. A file that cannot be read is reported, and is none."""
         try:
-            with open_regular(self._path) as file:
-                self._alarms.restore(json.loads(file.read(MAX_BYTES)))
+            read_state(self._path, MAX_BYTES, self._alarms.restore)
         except FileNotFoundError:
             return
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             self._report(f"{self._path} cannot be read: {error}; alarms of before the restart are not known")
         for kind in OF_THE_PROCESS:
             self._take(Signal(kind, None, False), logged=False)
@@ -128,12 +127,16 @@ class AlarmBook:
     def _written(self, written: asyncio.Future[None]) -> None:
         self._writing = False
         error = None if written.cancelled() else written.exception()
+        if error is not None:
+            self._changed = True  # the next tick tries again
         if error is not None and not self._failed:
             self._report(f"{self._path} cannot be written: {error}; a restart will not know what was acknowledged")
+        elif error is None and self._failed:
+            self._report(f"{self._path} is written again")
         self._failed = error is not None
 
     def _report(self, text: str) -> None:
-        self._events.publish(Event("recorder", None, None, text, {"file": str(self._path), "error": text}))
+        self._events.publish(Event("warning", None, None, text, {"file": str(self._path)}))
 
 
 def _write(path: Path, content: bytes) -> None:

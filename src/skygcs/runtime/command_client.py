@@ -212,8 +212,8 @@ class CommandClient:
         self._watches: list[_Watch] = []
         self._addresses: dict[int, dict[str, int]] = {}
         self._timer = DeadlineTimer(loop, self._on_timer)
-        self._closed = ""
-        """Why it was closed."""
+        self.closed = ""
+        """Why it was closed (`close`); empty while it is open."""
 
     @property
     def why_silent(self) -> Callable[[], str]:
@@ -408,7 +408,7 @@ class CommandClient:
 
     def close(self, reason: str) -> None:
         """End all commands, and send nothing any more: the daemon ends, or the vehicle was dropped."""
-        self._closed = reason
+        self.closed = reason
         self._send = _refuse
         for command in list(self._running):
             self.stop(command, "cancelled", reason)
@@ -442,8 +442,8 @@ class CommandClient:
         self, line: _Line, request: _Request, priority: Priority, timers_s: tuple[float, ...]
     ) -> Outcome:
         """Run the command protocol to its outcome, and note how many acks may still come late."""
-        if self._closed:
-            return Outcome(False, "cancelled", self._closed)
+        if self.closed:
+            return Outcome(False, "cancelled", self.closed)
         # register the exchange
         spec = request.spec
         protocol = CommandProtocol(spec, timers_s)

@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.files import boot_id, make_log_folder, open_regular, write_whole
+from skygcs.config.files import boot_id, make_log_folder, read_state, write_whole
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
@@ -76,15 +76,10 @@ class FlightJournal:
     def recall(self) -> list[FlightNote]:
         """The notes of the daemon before. A file that cannot be read is reported, and is none."""
         try:
-            with open_regular(self._path) as file:
-                table = json.loads(file.read(MAX_BYTES))
-            if table["format"] != FORMAT:
-                raise ValueError(f"format {table['format']!r}")
-            notes = [FlightNote.from_json(note) for note in table["notes"][:MAX_VEHICLES]]
-            return self._by_wall_clock(table, notes)
+            return read_state(self._path, MAX_BYTES, self._notes_of)
         except FileNotFoundError:
             return []
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             self.unreadable = True
             self._report(
                 f"{self._path} cannot be read: {error}; a vehicle that is in the air and follows setpoints when it is "
@@ -93,8 +88,9 @@ class FlightJournal:
             return []
 
     def due(self, states: tuple[Any, ...], now: float, *, flying: bool) -> bool:
-        """True if a note has to be made: ``states`` differ from those of the last note, or one is in the air."""
-        return states != self._states or (flying and now - self._noted_at >= PERIOD_S)
+        """True if a note has to be made: ``states`` differ from those of the last note, one is in the air, or the last
+        note is not on disk."""
+        return states != self._states or ((flying or self._failed) and now - self._noted_at >= PERIOD_S)
 
     def note(self, notes: Sequence[FlightNote], states: tuple[Any, ...], now: float) -> None:
         """Write these notes, as soon as the disk takes them."""
@@ -124,8 +120,16 @@ class FlightJournal:
         error = None if written.cancelled() else written.exception()
         if error is not None and not self._failed:
             self._report(f"{self._path} cannot be written: {error}; a restart will not know what flies")
+        elif error is None and self._failed:
+            self._report(f"{self._path} is written again")
         self._failed = error is not None
         self._write_next()
+
+    def _notes_of(self, table: Any) -> list[FlightNote]:
+        if table["format"] != FORMAT:
+            raise ValueError(f"format {table['format']!r}")
+        notes = [FlightNote.from_json(note) for note in table["notes"][:MAX_VEHICLES]]
+        return self._by_wall_clock(table, notes)
 
     def _by_wall_clock(self, table: Mapping[str, Any], notes: list[FlightNote]) -> list[FlightNote]:
         """The notes with their times as the wall clock would have shown them that is right now, if they are of this

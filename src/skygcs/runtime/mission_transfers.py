@@ -326,7 +326,8 @@ class Missions:
         self._doubted.update(MissionType)
         self._current = b""
         if self._running is not None:
-            self._apply(self._running[0].stop(self._loop.time(), result, message))
+            protocol, _, what = self._running
+            self._cut(protocol, what, result, message)
 
     def close(self, reason: str) -> None:
         """The daemon ends, or the vehicle is dropped: end the transfer for this reason."""
@@ -372,9 +373,7 @@ class Missions:
             self._apply(protocol.start(self._loop.time()))
             await over
         except asyncio.CancelledError:
-            self._apply(protocol.stop(self._loop.time(), "cancelled", "cancelled"))
-            if protocol.outcome is not None:
-                self._publish("warning", f"{what}: {protocol.outcome.message}", protocol.outcome.as_dict())
+            self._cut(protocol, what, "cancelled", "cancelled")
             raise
         finally:
             self._running = None
@@ -383,6 +382,14 @@ class Missions:
                 self._note(protocol, protocol.outcome)
         assert protocol.outcome is not None
         return protocol.outcome
+
+    def _cut(self, protocol: MissionProtocol, what: str, result: str, message: str) -> None:
+        """End a transfer before its end. Who asked may be gone: a warning says what the vehicle holds then."""
+        begun = protocol.outcome is None
+        self._apply(protocol.stop(self._loop.time(), result, message))
+        outcome = protocol.outcome
+        if begun and outcome is not None and not isinstance(protocol, MissionDownload):
+            self._publish("warning", f"{what}: {outcome.message}", outcome.as_dict())
 
     def _note(self, protocol: MissionProtocol, outcome: MissionOutcome) -> None:
         """Note what the vehicle holds after a transfer."""

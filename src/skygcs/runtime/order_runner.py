@@ -403,6 +403,10 @@ class OrderRunner:
             if run.ended() and number == self.ledger.number:
                 run.done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
                 return await self._ended(run, max(attempts, outcome.attempts), started)
+            if not outcome.ok and self._commands.closed:  # nobody waited for its effect, and nothing undoes it
+                sent = "; it was sent, and the vehicle may follow it" if outcome.attempts else ""
+                text = f"{step.name}: {self._commands.closed}{sent}"
+                return replace(outcome, result="cancelled", message=text, elapsed_s=self._loop.time() - started)
             attempts = max(attempts, outcome.attempts)  # steps are not repeats of each other
             texts += [t for t in outcome.status_texts if t not in texts]
             # an alternative, or a step that may fail

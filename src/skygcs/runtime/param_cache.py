@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.files import write_whole
+from skygcs.config.files import open_regular, read_state, write_whole
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, encoding_of, is_name
 from skygcs.core.params.metadata import MAX_TABLE_BYTES
@@ -81,11 +81,9 @@ class ParamCache:
         if path is None:
             return None
         try:
-            if path.stat().st_size > MAX_FILE_BYTES:
-                return None
-            cached = _decode(json.loads(path.read_text(encoding="utf-8")), key)
+            cached = read_state(path, MAX_FILE_BYTES, lambda table: _decode(table, key))
             self._write(partial(_touch, path))
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError):
             return None
         return cached
 
@@ -109,7 +107,8 @@ class ParamCache:
         try:
             if path is None or path.stat().st_size > MAX_TABLE_BYTES:
                 return None
-            return path.read_bytes()
+            with open_regular(path) as file:
+                return file.read(MAX_TABLE_BYTES)
         except OSError:
             return None
 
@@ -159,7 +158,7 @@ def _encode(cached: CachedParams, key: CacheKey) -> dict[str, Any]:
 
 
 def _decode(table: dict[str, Any], key: CacheKey) -> CachedParams | None:
-    """Raises KeyError, TypeError or ValueError for an unexpected content."""
+    """Decode a file, for `read_state`."""
     if table["format"] != FORMAT or table["firmware"] != key.firmware:
         return None
     params = tuple(

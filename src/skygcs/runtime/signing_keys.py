@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from skygcs.cancellation import carried_through
-from skygcs.config.files import write_whole
+from skygcs.config.files import read_state, write_whole
 from skygcs.config.models import LinkConfig
 from skygcs.config.signing import EVERY_MESSAGE, read_key
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
@@ -71,6 +71,15 @@ class Kept(NamedTuple):
     """This computer's clock at that time; 0 in older files."""
 
 
+def _kept(table: Any) -> Kept:
+    """Decode a file, for `read_state`."""
+    if table["format"] != FORMAT:
+        raise ValueError(f"format {table['format']}")
+    margin = 0 if table["exact"] else int(AFTER_CRASH_S * TICKS_PER_S)
+    wall = min(max(int(table.get("wall", 0)), 0), MAX_TIMESTAMP)
+    return Kept(min(max(int(table["timestamp"]), 0) + margin, MAX_TIMESTAMP), wall)
+
+
 class SigningStore:
     """One file per key, named by its id and without the key. ``problem``: why the last access failed, or empty."""
 
@@ -84,19 +93,12 @@ class SigningStore:
             return Kept(0, 0)
         path = self._path(key_id)
         try:
-            with open(path, "rb") as file:
-                table = json.loads(file.read(MAX_FILE_BYTES))
-            if table["format"] != FORMAT:
-                raise ValueError(f"format {table['format']}")
-            timestamp, exact = int(table["timestamp"]), bool(table["exact"])
-            wall = min(max(int(table.get("wall", 0)), 0), MAX_TIMESTAMP)
+            return read_state(path, MAX_FILE_BYTES, _kept)
         except FileNotFoundError:
             return Kept(0, 0)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             self.problem = f"{path} cannot be read ({error})"
             return Kept(0, 0)
-        margin = 0 if exact else int(AFTER_CRASH_S * TICKS_PER_S)
-        return Kept(min(max(timestamp, 0) + margin, MAX_TIMESTAMP), wall)
 
     def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool) -> None:
         """Save it atomically; ``exact``: no later stamp will be used before the next `load`."""
@@ -156,6 +158,8 @@ class _Key:
     secret: bytes = field(repr=False)
     clock: SigningClock
     saved: int
+    pinned: bool = False
+    """`Signing.is_pinned`, as it was reported last."""
 
     @property
     def id(self) -> str:
@@ -280,11 +284,10 @@ class Signing:
         key = self._keys.get(secret)
         if key is None:
             clock = SigningClock(*self._store.load(key_id(secret)))
+            self._report_store()  # before a save, which replaces what could not be read
             clock.see_wall(self._wall())
             key = self._keys[secret] = _Key(secret, clock, saved=0)
-            if self.is_pinned(secret):
-                data = {"key_id": key.id, "ahead_s": round(self._ahead_s(key))}
-                self._on_event(Event("warning", None, None, f"signing: {self.pinned_text(secret)}", data))
+            self._report_pinned(key)
         return key
 
     def is_pinned(self, secret: bytes) -> bool:
@@ -445,6 +448,7 @@ class Signing:
             while True:
                 await asyncio.sleep(1.0)
                 for key in list(self._keys.values()):
+                    self._report_pinned(key)
                     if key.clock.timestamp - key.saved > SAVE_EVERY_S * TICKS_PER_S or not key.saved:
                         stamp = max(key.clock.timestamp, self._wall())
                         key.clock.see_wall(self._wall())
@@ -469,13 +473,23 @@ class Signing:
         except OSError as error:
             self._store.problem = f"the clock of key {key.id} cannot be written ({error.strerror})"
 
+    def _report_pinned(self, key: _Key) -> None:
+        """A clock that has come too far ahead is reported once: at the start, or since this computer's was set back."""
+        before, key.pinned = key.pinned, self.is_pinned(key.secret)
+        if key.pinned and not before:
+            data = {"key_id": key.id, "ahead_s": round(self._ahead_s(key))}
+            self._on_event(Event("warning", None, None, f"signing: {self.pinned_text(key.secret)}", data))
+
     def _report_store(self) -> None:
-        """A clock that cannot be saved is reported once per reason."""
+        """A clock that cannot be read or saved is reported once per reason, and once when it is saved again."""
         problem = self._store.problem
-        if problem and problem != self._store_failed:
-            text = f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
-            self._on_event(Event("warning", None, None, f"signing: {text}", {}))
+        if problem == self._store_failed:
+            return
+        text = f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
+        if not problem:
+            text = "the clocks of the keys are saved again"
         self._store_failed = problem
+        self._on_event(Event("warning", None, None, f"signing: {text}", {}))
 
 
 def _duration(seconds: float) -> str:

@@ -13,10 +13,11 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.files import write_whole
+from skygcs.config.files import read_state, write_whole
 from skygcs.errors import RefusedError
 
 FORMAT = 1
@@ -127,7 +128,7 @@ class UndoJournal:
         for path in self._files():
             try:
                 change = _read(path)
-            except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+            except (OSError, ValueError) as error:
                 if len(self.problems) < MAX_ENTRIES:
                     self.problems.append(f"{path.name} cannot be read: {error}"[:200])
                 continue
@@ -168,14 +169,15 @@ class UndoJournal:
 
 
 def _read(path: Path) -> UndoableChange:
-    """Read an entry. Raises OSError, and for an invalid one ValueError, KeyError, TypeError, AttributeError or
-    OverflowError."""
-    with path.open("rb") as file:
-        table = json.loads(file.read(MAX_FILE_BYTES))
+    """Read an entry. Raises OSError, and ValueError for an invalid one."""
+    return read_state(path, MAX_FILE_BYTES, partial(_change_of, path.stem))
+
+
+def _change_of(id: str, table: Any) -> UndoableChange:
     if table["format"] != FORMAT:
         raise ValueError(f"format {table['format']!r}")
     change = UndoableChange(
-        path.stem,
+        id,
         str(table["vehicle"])[:64],
         int(table["sysid"]),
         str(table["autopilot"])[:32],

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, BinaryIO, overload
+from typing import IO, Any, BinaryIO, NoReturn, overload
 
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.ending_signals import ending_signals
 from skygcs.errors import SkygcsError
 from skygcs.terminal_text import visible
 from skygcs.tlog.format import ByteSource, LogEntry, LogKind, sniff
@@ -165,13 +167,18 @@ def opened_log(path: Path, dialect: Dialect) -> Iterator[LogFile]:
 
 class Outputs:
     """Files that a tool writes: all of them whole, or none of them there. They are written beside their place and moved
-    there at the end of the ``with`` block if it raised nothing."""
+    there at the end of the ``with`` block if it raised nothing. Meanwhile a signal that ends the program raises
+    SystemExit: what it would leave half written may be gigabytes. For the main thread."""
 
     def __init__(self, force: bool) -> None:
         self._force = force
         self._open: dict[Path, IO[Any]] = {}
+        self._handlers: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Outputs:
+        for number in ending_signals():
+            if signal.getsignal(number) is signal.SIG_DFL:
+                self._handlers[number] = signal.signal(number, _end)
         return self
 
     def __exit__(
@@ -188,6 +195,8 @@ class Outputs:
                 _part(path).replace(path)
             else:
                 _part(path).unlink(missing_ok=True)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
         if kind is None and problem is not None:
             raise problem
 
@@ -222,6 +231,10 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SkygcsError(f"{path}: {error.strerror or error}") from None
+
+
+def _end(number: int, _: object) -> NoReturn:
+    raise SystemExit(128 + number)
 
 
 def _part(path: Path) -> Path:

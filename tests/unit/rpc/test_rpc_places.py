@@ -228,6 +228,22 @@ async def test_with_the_last_descriptors_an_older_connection_gives_way_to_a_stop
     assert bench.server.stats()["connections_refused"] >= 15
 
 
+async def test_with_the_last_descriptors_nobody_stays_although_places_are_free(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their first request gave them a place: the descriptors that are kept for a stop were gone with 24 clients."""
+    first = await bench.connect()
+    await first.call("daemon.info")
+    monkeypatch.setattr(sessions, "is_of_the_last", lambda descriptor: True)
+    for _ in range(30):
+        refused = await (await bench.connect()).call("commands.list")
+        assert "no more file descriptors" in refused["error"]["message"]
+    assert "result" in await emergency(bench)
+    assert bench.server.stats()["sessions"] == 1
+    (reported,) = warnings(bench)
+    assert "ulimit -n" in reported["text"] and "1 by process" in reported["text"]
+
+
 async def emergency(bench: Bench) -> dict[str, Any]:
     async with connect(bench.server.socket_path) as gcs:
         return {"result": await gcs.call("vehicles.stop", targets="alpha", action="hold")}

@@ -16,8 +16,9 @@ from skygcs.core.vehicle.flight_note import FlightNote
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.runtime import flight_notes
-from skygcs.runtime.flight_notes import FILE, FORMAT, FlightJournal
+from skygcs.runtime.flight_notes import FILE, FORMAT, PERIOD_S, FlightJournal
 from skygcs.runtime.vehicle_services import MAX_VEHICLES
+from support.inline_disk import inline_disk
 
 NOTE = FlightNote(1, 1, "alpha", True, "this station's setpoints", ((1.5, b"\xfd\x00"),), 246.0, 40.0)
 
@@ -87,10 +88,7 @@ async def test_a_disk_that_is_full_leaves_no_old_note_to_be_believed(
 ) -> None:
     await written(journal(tmp_path), NOTE)
 
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(flight_notes, "write_whole", full)
+    monkeypatch.setattr(flight_notes, "write_whole", _full)
     events: list[Event] = []
     made = journal(tmp_path, events)
     made.note([], (), 0.0)
@@ -98,6 +96,32 @@ async def test_a_disk_that_is_full_leaves_no_old_note_to_be_believed(
     assert "cannot be written" in events[0].text
     again = journal(tmp_path)
     assert again.recall() == [] and again.unreadable
+
+
+async def test_what_a_full_disk_did_not_take_is_written_when_there_is_room_also_on_the_ground(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the landing nothing changed any more: the file said for ever that it is out of date."""
+    events: list[Event] = []
+    loop = asyncio.get_running_loop()
+    made = FlightJournal(tmp_path, inline_disk(loop), events.append, time.monotonic)
+    with monkeypatch.context() as full:
+        full.setattr(flight_notes, "write_whole", _full)
+        for now in (0.0, PERIOD_S, 2 * PERIOD_S):
+            assert made.due(("landed",), now, flying=False)
+            made.note([], ("landed",), now)
+            await made._disk.settled()
+            assert not made.due(("landed",), now + 0.1, flying=False)
+    assert made.due(("landed",), 3 * PERIOD_S, flying=False)
+    made.note([], ("landed",), 3 * PERIOD_S)
+    await made._disk.settled()
+    assert not made.due(("landed",), 99.0, flying=False)
+    assert [event.text.rpartition(FILE)[2][:21] for event in events] == [" cannot be written: [", " is written again"]
+    assert journal(tmp_path).recall() == []
+
+
+def _full(*_: object, **__: object) -> None:
+    raise OSError(28, "No space left on device")
 
 
 @pytest.mark.parametrize(("boot", "moved_s"), [("of this start", 0.0), ("of another start", 7200.0)])

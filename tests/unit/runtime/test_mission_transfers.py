@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Any
 
@@ -253,6 +254,22 @@ async def test_cancelling_an_upload_tells_the_vehicle_and_says_what_it_holds() -
         assert storing.lists[0].cancelled
         assert actor.missions.status()["transfer"] is None
         assert (await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))).ok
+
+
+@pytest.mark.parametrize("end", [VehicleActor.wind_down, VehicleActor.close], ids=["the daemon ends", "it is dropped"])
+async def test_an_upload_that_the_daemon_ends_is_a_warning_that_says_what_the_vehicle_holds(
+    end: Callable[[VehicleActor], Awaitable[None] | None],
+) -> None:
+    """It was an event that is not logged, and its client was gone: nobody learned of the mixture."""
+    async with Site(ARDUPILOT) as (ground, _, actor):
+        task = asyncio.create_task(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,)))
+        await asyncio.sleep(0.25)
+        ended = end(actor)
+        if ended is not None:
+            await ended
+        assert (await task).result == "cancelled"
+        (warning,) = [e for e in ground.events if e.kind == "warning"]
+        assert warning.data["state"] == "partial" and "skygcs is shutting down" in warning.text
 
 
 async def test_a_lost_vehicle_ends_its_transfer_at_once() -> None:

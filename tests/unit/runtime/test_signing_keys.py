@@ -10,10 +10,13 @@ from typing import cast
 
 import pytest
 
+from skygcs.cancellation import ended
 from skygcs.config.dialects import load_dialect
-from skygcs.core.mavlink.signing import MAX_TIMESTAMP, TICKS_PER_S
+from skygcs.core.mavlink.signing import MAX_TIMESTAMP, TICKS_PER_S, key_id
 from skygcs.disk_writer import DiskWriter
+from skygcs.events import Event
 from skygcs.runtime.signing_keys import AFTER_CRASH_S, Signing, SigningStore, default_state_dir
+from support.inline_disk import inline_disk
 
 NOW = 37_000_000_000_000
 
@@ -107,6 +110,37 @@ def test_a_file_that_is_no_state_is_told_and_not_believed(tmp_path: Path, text: 
 def test_times_beyond_the_range_are_brought_into_it(tmp_path: Path) -> None:
     (tmp_path / "ab.json").write_text(f'{{"format": 1, "timestamp": {1 << 60}, "exact": true, "wall": {-1 << 60}}}')
     assert SigningStore(tmp_path).load("ab") == (MAX_TIMESTAMP, 0)
+
+
+async def test_a_clock_that_cannot_be_read_is_reported_before_it_is_replaced(tmp_path: Path) -> None:
+    """The first save, a second later, took the problem with it: nobody learned that the key's time was lost."""
+    secret = bytes(32)
+    (tmp_path / f"{key_id(secret)}.json").write_text("")
+    events: list[Event] = []
+    signing = Signing(load_dialect("all"), events.append, SigningStore(tmp_path), lambda: 1.8e9)
+    signing.disk = inline_disk(asyncio.get_running_loop())
+    signing.key_of(secret)
+    task = asyncio.create_task(signing.run())
+    await asyncio.sleep(0)
+    await ended(task)
+    assert ["cannot be read" in event.text for event in events] == [True, False]
+    assert events[1].text.endswith("saved again")
+
+
+@pytest.mark.looptime
+async def test_a_computer_whose_clock_was_a_year_ahead_for_a_while_reports_it_when_that_is_set_back() -> None:
+    """What it signs stays a year ahead, and was reported by the next start only."""
+    wall, events = [1.8e9], list[Event]()
+    signing = Signing(load_dialect("all"), events.append, SigningStore(None), lambda: wall[0])
+    signing.key_of(bytes(32))
+    task = asyncio.create_task(signing.run())
+    for step_s in (0.0, 365 * 86400.0, 0.0, -365 * 86400.0, 0.0):
+        wall[0] += step_s
+        signing.stamp(bytes(32))  # a message is sent
+        await asyncio.sleep(15.0)
+    await ended(task)
+    (event,) = [event for event in events if "ahead_s" in event.data]
+    assert "365 days ahead" in event.text and "reset-clock" in event.text
 
 
 async def test_at_the_end_every_clock_is_saved_however_often_the_task_is_cancelled(tmp_path: Path) -> None:

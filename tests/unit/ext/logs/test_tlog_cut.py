@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
+from skygcs.tlog.files import Outputs
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
 from support.command_line import ran
@@ -254,3 +256,18 @@ def test_help_names_every_tool() -> None:
     for word in ("info", "filter", "merge", "split", "csv", "plot", "play"):
         assert word in reported
     assert PUBLIC and dialect()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_the_program_leaves_nothing_half_written(tmp_path: Path, number: signal.Signals) -> None:
+    """A closed terminal left a part of gigabytes."""
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(SystemExit) as ended, Outputs(force=False) as outputs:
+            outputs.open_bytes(tmp_path / "out.tlog").write(b"half")
+            if signal.getsignal(number) is not signal.SIG_DFL:  # else it would end the tests
+                signal.raise_signal(number)
+        assert ended.value.code == 128 + number and list(tmp_path.iterdir()) == []
+        assert signal.getsignal(number) is signal.SIG_DFL
+    finally:
+        signal.signal(number, before)

@@ -5,7 +5,6 @@ The folder itself is read, not the folders in it. Files are streamed: memory doe
 
 from __future__ import annotations
 
-import json
 import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from skygcs.config.files import open_regular
+from skygcs.config.files import open_regular, read_state
 from skygcs.core.alarms import Alarms
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
@@ -331,10 +330,9 @@ def _folder(path: Path) -> FileNote:
 def _alarms(path: Path, report: DayReport, size: int) -> FileNote:
     alarms = Alarms()
     try:
-        with open_regular(path) as file:
-            alarms.restore(json.loads(file.read(MOST_ALARM_BYTES)))
+        read_state(path, MOST_ALARM_BYTES, alarms.restore)
         found = alarms.all()
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+    except ValueError as error:
         return FileNote(path.name, FileState.FAILED, f"no alarms of a daemon: {error}"[:200], size)
     for alarm in found:
         if report.begin_s - DAY_GAP_S <= alarm.raised_unix_s <= report.end_s + DAY_GAP_S:
