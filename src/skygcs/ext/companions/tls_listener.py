@@ -221,11 +221,10 @@ class TlsListener:
         return False
 
     async def _watch_pin(self) -> None:
-        """Close the connections of a ground whose certificate is not pinned any more: removed, or replaced."""
+        """Close the connections of a ground whose certificate is not pinned any more: removed, or replaced. They are
+        compared at each look: a handshake may have read the new files before it, or begun with the old ones."""
         while True:
             await asyncio.sleep(PIN_LOOK_S)
-            if self._identity.changed() == self._read_at:
-                continue
             try:
                 tls: PinnedTls | None = self._refresh()
             except SkygcsError as error:

@@ -130,6 +130,22 @@ async def test_an_open_connection_ends_with_its_pin(door: Door, monkeypatch: pyt
     await again.close()
 
 
+async def test_it_ends_with_its_pin_also_if_another_handshake_reads_the_new_one_first(
+    door: Door, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anybody's connection between the change and the next look left the old ground its session for good."""
+    monkeypatch.setattr(tls_listener, "PIN_LOOK_S", 0.02)
+    ground = await door.connect()
+    assert (await ground.call("daemon.info"))["version"]
+    make_pair(tmp_path / "other", tmp_path / "unused")
+    (door.companion / "ground.crt").write_bytes((tmp_path / "other" / "ground.crt").read_bytes())
+    door.listener._refresh()  # as a handshake does
+    await door.until(lambda: door.counted("unpinned") == 1)
+    with pytest.raises(DaemonUnreachable):
+        await ground.call("daemon.info")
+    await ground.close()
+
+
 async def test_a_client_without_a_certificate_is_refused(door: Door) -> None:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
