@@ -61,8 +61,8 @@ class GroundContact:
         return self.state in (ContactState.FINISHING, ContactState.WAITING, ContactState.ACTED)
 
     def tick(self, now: float, *, controlled: bool, follows: bool, contact_at: float) -> Action | None:
-        """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that comes to its end
-        by itself; ``contact_at``: the last contact with the ground."""
+        """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that comes to its
+        end by itself; ``contact_at``: the last contact with the ground."""
         if not controlled:
             self.state = ContactState.IDLE
             return None
