@@ -110,6 +110,7 @@ async def test_the_ground_may_do_what_a_local_client_may(door: Door) -> None:
     assert (await anext(aiter(events)))["text"] == "alpha: LAND"
     await ground.close()
     assert door.counted("accepted") == 1
+    assert door.listener._limits.known == "127.0.0.1"
 
 
 async def test_an_open_connection_ends_with_its_pin(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -318,3 +319,12 @@ def test_many_addresses_have_one_limit_and_take_no_memory() -> None:
     assert sum(limits.begin(f"10.1.0.{host}", 1000.0) for host in range(100)) == 0  # none of them ended
     assert limits._open.total() == MAX_HANDSHAKES
     assert len(limits._rates) <= MAX_ADDRESSES
+
+
+def test_half_open_handshakes_of_many_addresses_do_not_keep_the_ground_from_coming_back() -> None:
+    limits = HandshakeLimits(0.0)
+    limits.known = "10.0.0.1"
+    assert sum(limits.begin(f"10.1.0.{host}", second) for second in (0.0, 1.0) for host in range(50)) == MAX_HANDSHAKES
+    assert not limits.begin("10.0.0.2", 1.0)
+    begun = [limits.begin("10.0.0.1", 1.0) for _ in range(MAX_HANDSHAKES_PER_ADDRESS + 1)]
+    assert begun == [True] * MAX_HANDSHAKES_PER_ADDRESS + [False]
