@@ -28,14 +28,11 @@ from skygcs.core.token_bucket import TokenBucket
 from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError, SkygcsError, explain_address_error
 from skygcs.events import Event
-from skygcs.ext.companions.tls import HANDSHAKE_S, SHUTDOWN_S, Identity, PinnedTls
+from skygcs.ext.companions.tls import HANDSHAKE_S, PIN_LOOK_S, SHUTDOWN_S, Identity, PinnedTls
 from skygcs.links.address import format_address, resolve
 
 if TYPE_CHECKING:
     from skygcs.rpc.context import NewSession
-
-PIN_LOOK_S = 1.0
-"""How soon a certificate that is not pinned any more loses its open connections."""
 
 RETRY_S = 5.0
 BACKLOG = 32

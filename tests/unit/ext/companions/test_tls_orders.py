@@ -8,12 +8,16 @@ import json
 import ssl
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from skygcs.errors import DaemonUnreachable, LinkError
 from skygcs.events import Event
 from skygcs.ext.companions import tls_listener
+from skygcs.ext.companions.companions_table import CompanionsConfig
+from skygcs.ext.companions.ground import Companions
 from skygcs.ext.companions.pinned_client import connect_pinned
 from skygcs.ext.companions.tls import Identity, PinnedTls
 from skygcs.ext.companions.tls_listener import (
@@ -145,6 +149,29 @@ async def test_it_ends_with_its_pin_also_if_another_handshake_reads_the_new_one_
     with pytest.raises(DaemonUnreachable):
         await ground.call("daemon.info")
     await ground.close()
+
+
+async def test_the_grounds_connection_ends_with_its_pin_of_the_companion(door: Door) -> None:
+    """The page has it removed when a vehicle's computer was stolen: that one stayed connected."""
+    sleep, log = SimpleNamespace(check=lambda: False), SimpleNamespace(publish=door.events.append)
+    table = {"key_dir": door.ground, "alpha": {"rpc": f"127.0.0.1:{door.port}"}}
+    core = cast(Any, SimpleNamespace(event_log=log, fleet=SimpleNamespace(sleep=sleep)))
+    ground = Companions(core, CompanionsConfig.model_validate(table))
+    link = ground.links.get("alpha")
+    assert link is not None
+    running = asyncio.create_task(ground.run())
+    try:
+        await door.until(lambda: link.is_up)
+        ground._look_at_pins()
+        (door.ground / "companions" / "alpha.crt").unlink()
+        await asyncio.sleep(0.1)
+        assert link.is_up
+        ground._look_at_pins()
+        await door.until(lambda: "alpha.crt is missing" in str(link.last_error))
+        assert not link.is_up and link.connected == 1
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
 
 
 async def test_a_client_without_a_certificate_is_refused(door: Door) -> None:
