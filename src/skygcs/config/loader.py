@@ -68,7 +68,7 @@ MAX_PROBLEMS = 100
 some MB of TOML have 300,000."""
 
 MAX_LINK_CHARS, MAX_LINK_PROBLEMS = 32768, 20
-"""Of a link added at run time, which the loop reads: 1 MB of unknown keys took it 15 s, of networks 0.8 s."""
+"""Most characters and problems of a link added at run time: 1 MB of unknown keys held the loop for 15 s."""
 
 MAX_NAME_BYTES, MAX_PATH_BYTES = 255, 4095
 """Linux' NAME_MAX, which all its file systems have, and PATH_MAX without the zero at its end: a longer one raises
