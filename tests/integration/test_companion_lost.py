@@ -74,6 +74,19 @@ async def test_finish_flies_the_trajectory_to_its_end_and_returns_then(tmp_path:
         assert not pair.pi.setpoints(pair.now + 0.2)
 
 
+async def test_finish_does_not_wait_for_the_end_of_a_paused_trajectory(tmp_path: Path) -> None:
+    """Nobody is left to resume it: it stayed there until its battery was empty."""
+    async with companion_pair(tmp_path, companion={"ground_lost": "finish"}, engaged="position") as pair:
+        await start_circle(pair)
+        await asyncio.sleep(5)
+        await pair.done("trajectory.pause")
+        await asyncio.sleep(3)
+        await pair.lose_ground()
+        await pair.until(lambda: mode(pair) in RETURNING, LOST_S + 2.0)
+        (text,) = lost_texts(pair)
+        assert text.endswith("it is ordered to return")
+
+
 @pytest.mark.deep  # a minute of two daemons
 async def test_a_ground_that_is_only_slow_is_not_lost(tmp_path: Path) -> None:
     async with companion_pair(tmp_path, delay_s=0.8, loss=0.1, engaged="position") as pair:

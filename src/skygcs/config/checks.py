@@ -135,28 +135,26 @@ def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:
     return {n: text for n, link in links.items() if link.enabled and isinstance(link, ReplayLinkConfig)}
 
 
-def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[Problem]:
+def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> Iterator[Problem]:
     """Messages in filters and rate limits that the dialect does not have. An id it does not have is allowed: that is
     how an unknown message is filtered."""
-    problems: list[Problem] = []
     for name, link in links.items():
         for key in ("allow_msg_id_in", "block_msg_id_in", "allow_msg_id_out", "block_msg_id_out"):
             for index, message in enumerate(getattr(link, key)):
                 if text := _message_problem(message, dialect):
-                    problems.append(Problem(("links", name, key, index), text))
+                    yield Problem(("links", name, key, index), text)
         for key in ("rate_in", "rate_out"):
             for message in getattr(link, key).messages:
                 if message != "*" and (text := _message_problem(message, dialect)):
-                    problems.append(Problem(("links", name, key, "messages", message), text))
+                    yield Problem(("links", name, key, "messages", message), text)
         if isinstance(link, RadioKeys):
             for message in link.third_party.rates:
                 if text := _message_problem(message, dialect):
-                    problems.append(Problem(("links", name, "third_party", "rates", message), text))
+                    yield Problem(("links", name, "third_party", "rates", message), text)
         if link.signing is not None and "accept_unsigned" in link.signing.model_fields_set:
             for index, message in enumerate(link.signing.accept_unsigned):
                 if message != "*" and (text := _message_problem(message, dialect)):
-                    problems.append(Problem(("links", name, "signing", "accept_unsigned", index), text))
-    return problems
+                    yield Problem(("links", name, "signing", "accept_unsigned", index), text)
 
 
 def timing_problems(links: Mapping[str, LinkConfig]) -> list[Problem]:

@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,9 @@ MAX_PROBLEMS = 100
 """Most wrong keys that are looked at: a file with more was not written as a fleet file. Each takes up to 7 ms, and
 some MB of TOML have 300,000."""
 
+MAX_LINK_CHARS, MAX_LINK_PROBLEMS = 32768, 20
+"""Most characters and problems of a link added at run time: 1 MB of unknown keys held the loop for 15 s."""
+
 MAX_NAME_BYTES, MAX_PATH_BYTES = 255, 4095
 """Linux' NAME_MAX, which all its file systems have, and PATH_MAX without the zero at its end: a longer one raises
 ENAMETOOLONG wherever it is looked at."""
@@ -116,7 +120,8 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
             problems.append(Problem(("dialect",), str(error)))
         else:
             problems += dialect_problems(dialect)
-            problems += message_problems(config.links, dialect) + stream_problems(config, dialect)
+            problems += islice(message_problems(config.links, dialect), MAX_PROBLEMS)
+            problems += stream_problems(config, dialect)
     # report all problems together
     if problems or config is None or dialect is None:
         raise ConfigError(str(path), _shown(problems, lines))
@@ -131,17 +136,21 @@ def _link_adapter() -> TypeAdapter[LinkConfig]:
 
 def parse_link(name: str, table: dict[str, Any], dialect: Dialect | None = None) -> LinkConfig:
     """One link as it would stand in [links.NAME], for links added at run time. Raises ConfigError as `load_fleet`."""
+    text = _as_json({**table, "name": name})
+    if len(text) > MAX_LINK_CHARS:
+        raise ConfigError(f"link {name}", [f"a description of a link has at most {MAX_LINK_CHARS} characters"])
     whole = {"links": {name: table}}
     if problems := _nul_characters(whole):
         raise ConfigError(f"link {name}", _shown(problems, {}))
     try:
-        link: LinkConfig = _link_adapter().validate_json(_as_json({**table, "name": name}), strict=True)
+        link: LinkConfig = _link_adapter().validate_json(text, strict=True)
     except ValidationError as error:
-        found = [{**e, "loc": ("links", name, *e["loc"])} for e in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)[:MAX_LINK_PROBLEMS]
+        found = [{**e, "loc": ("links", name, *e["loc"])} for e in errors]
         raise ConfigError(f"link {name}", _shown(_translated(found, whole), {})) from None  # type: ignore[arg-type]
     problems = timing_problems({name: link})
     if dialect is not None:
-        problems += message_problems({name: link}, dialect)
+        problems += islice(message_problems({name: link}, dialect), MAX_LINK_PROBLEMS)
     if problems:
         raise ConfigError(f"link {name}", _shown(problems, {}))
     return link

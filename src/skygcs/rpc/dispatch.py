@@ -54,6 +54,9 @@ MAX_PROBLEMS = 100
 MAX_LISTED = 2000
 """Problems that are looked at. To list 100,000 of them takes 0.3 s."""
 
+MAX_MEMBERS = 4096
+"""Members of one parameter: more than an autopilot has parameters. To check 60,000 of them takes 0.2 s."""
+
 _log = structlog.get_logger(__name__)
 C = TypeVar("C")
 T = TypeVar("T")
@@ -473,6 +476,9 @@ def _check(model: type[MethodParams], params: object) -> MethodParams:
         raise InvalidParams(("", "params must be an object or an array"))
     elif len(params) > len(model.model_fields) + MAX_PROBLEMS:  # each would be looked at
         raise InvalidParams(("", f"{len(params)} parameters given; the method has {', '.join(model.model_fields)}"))
+    for name, value in params.items():
+        if type(value) is dict and len(value) > MAX_MEMBERS:
+            raise InvalidParams((_clip(name), f"has {len(value)} members; at most {MAX_MEMBERS}"))
     try:
         return model.model_validate(params)
     except ValidationError as error:

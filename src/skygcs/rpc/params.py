@@ -21,6 +21,7 @@ from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
 from skygcs.rpc.replies import encode
+from skygcs.runtime.task_set import OneATurn
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_NAMES = 2000
@@ -294,10 +295,12 @@ async def _each(
     context: Context, params: TargetsParams, work: Callable[[VehicleActor], Coroutine[Any, Any, JsonObject]]
 ) -> JsonObject:
     """The same for all vehicles at once; each one's outcomes are reported when all of them are there."""
+    turn = OneATurn()
     vehicles = context.services.fleet.resolve(params.targets)
     reports = context.reports
 
     async def reported(vehicle: VehicleActor) -> JsonObject:
+        await turn.wait()
         outcomes = await work(vehicle)
         if reports is not None:
             reports.ended_with(vehicle.name, outcomes)

@@ -30,6 +30,7 @@ async def upload_plan(
     """See `Missions.bring`. Not the fence or the rally points while a flight stands on the present ones."""
     if (why := _list_refusal(actor, kinds)) is not None:
         return actor.refuse("plan upload", why)
+    await actor.services.one_a_turn.wait()
     work = actor.missions.bring(plan, kinds, limit_m=actor.config.goto_limit_m, force=force)
     return await actor.outcomes.track("plan upload", work)
 

@@ -88,12 +88,10 @@ class VehicleMetadata:
         found = self.table()
         if found is None:
             return {}
-        known = {}
-        for name in names:
-            entry = found.of(name) or found.of(other_name(name) or "")
-            if entry is not None:
-                known[name] = entry
-        return known
+        others = {name: other_name(name) or "" for name in names}
+        known = found.of([*others, *filter(None, others.values())])
+        either = {name: known.get(name) or known.get(other) for name, other in others.items()}
+        return {name: entry for name, entry in either.items() if entry is not None}
 
     def outside(self, params: Iterable[Param]) -> dict[str, str] | None:
         """The sentences about those values that are outside their range, by name; None without a table."""

@@ -24,6 +24,7 @@ from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.loop_clock import ControlClock
 from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.task_set import OneATurn
 from skygcs.runtime.undo_journal import UndoJournal
 
 MAX_VEHICLES = 300
@@ -170,3 +171,5 @@ class VehicleServices:
     """`SleepWatch.check`."""
     running_clocks: set[ControlClock] = field(default_factory=set)
     """Clocks of all vehicles that are controlled by setpoints."""
+    one_a_turn: OneATurn = field(default_factory=OneATurn)
+    """Awaited by what reads much for one vehicle, as it is often asked of all: 60 of them held the loop for 20 s."""

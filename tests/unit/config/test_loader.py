@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.config.loader import MAX_PROBLEMS, load_fleet, parse_link
+from skygcs.config.loader import MAX_LINK_CHARS, MAX_LINK_PROBLEMS, MAX_PROBLEMS, load_fleet, parse_link
 from skygcs.config.models import FleetConfig, ReplayLinkConfig, SerialLinkConfig
 from skygcs.errors import ConfigError
 from support.examples import examples
@@ -434,3 +434,24 @@ def test_a_dialect_in_which_no_vehicle_could_be_found_is_a_problem(tmp_path: Pat
     [problem] = problems(tmp_path, 'dialect = "px4-extras"\n')
     assert problem.startswith("dialect (line 1): px4-extras has no HEARTBEAT and no COMMAND_LONG")
     assert "ardupilotmega" in problem
+
+
+def test_a_link_added_at_run_time_has_a_bounded_description_and_bounded_problems(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The loop reads it: 60,000 unknown keys took it 15 s, and as many unknown messages longer."""
+    looked_for: list[str] = []
+
+    def near(word: str, *_: object, **__: object) -> list[str]:
+        looked_for.append(word)
+        return []
+
+    monkeypatch.setattr("skygcs.config.loader.near_names", near)
+    monkeypatch.setattr("skygcs.config.checks.near_names", near)
+    for much in ({f"k{n}": n for n in range(2000)}, {"block_msg_id_in": [f"M{n}" for n in range(2000)]}):
+        looked_for.clear()
+        with pytest.raises(ConfigError) as caught:
+            parse_link("x", {"type": "udp_server", "port": 1, **much}, dialect())
+        assert len(caught.value.problems) == len(looked_for) == MAX_LINK_PROBLEMS
+    with pytest.raises(ConfigError, match=f"a description of a link has at most {MAX_LINK_CHARS}"):
+        parse_link("x", {"type": "udp_server", "port": 1, "allow_from": ["10.0.0.0/24"] * 3000})

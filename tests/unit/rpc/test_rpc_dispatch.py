@@ -150,6 +150,11 @@ def test_what_is_wrong_with_a_megabyte_is_told_in_a_few_words(params: Any) -> No
     assert len(json.dumps(ask(request(params=params)))) < 1000
 
 
+def test_the_members_of_a_parameter_are_counted_before_each_is_checked() -> None:
+    answer = ask(request(params={"first": {f"k{n}": 0 for n in range(5000)}, "second": 1}))
+    assert answer["error"]["message"] == "pair: first: has 5000 members; at most 4096"
+
+
 def test_thousands_of_wrong_values_are_counted() -> None:
     class ManyParams(MethodParams):
         pairs: list[PairParams]

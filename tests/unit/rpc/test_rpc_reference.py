@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from skygcs.config.loader import MAX_LINK_CHARS
 from skygcs.core.vehicle.targets import MAX_CHARS
 from skygcs.rpc import client_peer, openrpc, sessions, work_gate
+from skygcs.rpc.dispatch import MAX_MEMBERS
 from skygcs.rpc.models import MAX_TEXT_CHARS
 from support.extension_parts import ALL_METHODS
 from support.rpc_reference import reference, shared
@@ -25,6 +27,7 @@ def test_the_limits_are_those_of_the_server() -> None:
         f"| a line | {sessions.MAX_LINE_BYTES >> 20} MiB |",
         f"| requests in a batch | {sessions.MAX_BATCH} |",
         f"| characters of a text without a bound of its own, of all targets | {MAX_TEXT_CHARS}, {MAX_CHARS} |",
+        f"| members of one parameter, characters of a link's description | {MAX_MEMBERS}, {MAX_LINK_CHARS} |",
         f"| clients | {sessions.MAX_SESSIONS} |",
         f"| connections beyond | {sessions.MAX_RESERVE} |",
         f"| TCP clients before authentication | {sessions.MAX_UNAUTHENTICATED} |",

@@ -8,7 +8,7 @@ import gc
 import pytest
 
 from skygcs.events import Event
-from skygcs.runtime.task_set import TaskSet, fault
+from skygcs.runtime.task_set import OneATurn, TaskSet, fault
 
 pytestmark = pytest.mark.looptime
 
@@ -55,3 +55,24 @@ async def test_close_cancels_what_is_under_way_and_tells_nothing() -> None:
     await asyncio.sleep(0)
     assert task.cancelled() and len(tasks) == 0 and events == []
     assert fault(task) is None
+
+
+async def test_of_those_that_wait_for_a_turn_one_goes_on_in_each() -> None:
+    turn, turns, went_on = OneATurn(), 0, []
+
+    async def count() -> None:
+        nonlocal turns
+        while len(went_on) < 20:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async def work() -> None:
+        await turn.wait()
+        went_on.append(turns)
+
+    counting = asyncio.create_task(count())
+    works = [asyncio.create_task(work()) for _ in range(21)]
+    await asyncio.sleep(0)
+    works[3].cancel()
+    await asyncio.gather(*works, counting, return_exceptions=True)
+    assert len(went_on) == len(set(went_on)) == 20

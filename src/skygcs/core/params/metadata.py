@@ -112,21 +112,10 @@ class MetadataTable:
         head = self._data.partition(b"\n")[0]
         return head[1:].decode("utf-8", "replace").strip() if head.startswith(b"#") else ""
 
-    def of(self, name: str) -> ParamMetadata | None:
-        """Metadata of a parameter, under its own name; None if the table has none."""
-        for key in (name, _DIGITS.sub("#", name)):
-            start = self._data.find(b"\n" + key.encode() + b"\t") + 1
-            if start:
-                end = self._data.find(b"\n", start)
-                known = decode(self._data[start : end if end >= 0 else None].decode("utf-8", "replace"))
-                if known is not None:
-                    return replace(known, name=name)
-        return None
-
-    def outside(self, values: Mapping[str, Value]) -> dict[str, str]:
-        """The sentences about those of many values that are outside their range, by name; in one pass."""
+    def of(self, names: Iterable[str]) -> dict[str, ParamMetadata]:
+        """Metadata of parameters, by their own names, of those that the table has; in one pass."""
         wanted: defaultdict[bytes, list[str]] = defaultdict(list)
-        for name in values:
+        for name in names:
             for key in dict.fromkeys((name, _DIGITS.sub("#", name))):
                 wanted[key.encode()].append(name)
         known: dict[str, ParamMetadata] = {}
@@ -135,7 +124,11 @@ class MetadataTable:
                 entry = decode(line.decode("utf-8", "replace"))
                 if entry is not None and (name not in known or entry.name == name):  # its own line before a general one
                     known[name] = entry
-        reasons = {name: entry.outside(values[name]) for name, entry in known.items()}
+        return {name: replace(entry, name=name) for name, entry in known.items()}
+
+    def outside(self, values: Mapping[str, Value]) -> dict[str, str]:
+        """The sentences about those of many values that are outside their range, by name."""
+        reasons = {name: entry.outside(values[name]) for name, entry in self.of(values).items()}
         return {name: why for name, why in reasons.items() if why}
 
 

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping
-from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.tables import Problem
 from skygcs.ext.companions import methods
 from skygcs.ext.companions.companion_control import CompanionCalls, CompanionControl
-from skygcs.ext.companions.companion_link import Dial
+from skygcs.ext.companions.companion_link import CompanionClient, Dial
 from skygcs.ext.companions.companion_links import CompanionLinks
 from skygcs.ext.companions.companions_table import CompanionsConfig, companions_problems, servers_of
 from skygcs.ext.companions.ground_finder import GroundAnnouncement
 from skygcs.ext.companions.pinned_client import connect_pinned
-from skygcs.ext.companions.tls import Identity
-from skygcs.extension import Extension, StateGroup, repeated
+from skygcs.ext.companions.tls import PIN_LOOK_S, Identity
+from skygcs.extension import Clock, Extension, StateGroup, repeated
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ class Companions(Extension[CompanionsConfig]):
         super().__init__(core, config)
         publish = core.event_log.publish
         sleep = core.fleet.sleep
+        self._read_at: dict[str, object] = {}
+        """`Identity.changed` when the files of a companion's connection were read, by companion."""
         self.links = CompanionLinks(config, self._dial_to, asyncio.get_running_loop(), publish, sleep.check)
         self.by_vehicle: dict[str, CompanionCalls] = {**self.links.by_vehicle()}
         """The connections, by the vehicle that the companion is on."""
@@ -66,6 +67,9 @@ class Companions(Extension[CompanionsConfig]):
     def new_flight(self, vehicle: Vehicle, config: VehicleConfig, services: VehicleServices) -> CompanionControl:
         heard_at = self.core.fleet.components.onboard_computer_heard_at
         return CompanionControl(vehicle, config, services, self.by_vehicle, heard_at)
+
+    def clocks(self) -> Iterable[Clock]:
+        yield Clock("pins of companions", PIN_LOOK_S, self._look_at_pins)
 
     async def run(self) -> None:
         """Keep all companions connected, and announce this ground station."""
@@ -101,4 +105,17 @@ class Companions(Extension[CompanionsConfig]):
 
     def _dial_to(self, companion: str, host: str, port: int) -> Dial:
         """The way to connect to a companion; the files are read each time, so that a new pin counts at once."""
-        return partial(connect_pinned, host, port, Identity.of_ground(self.config.key_dir, companion))
+        identity = Identity.of_ground(self.config.key_dir, companion)
+
+        async def dial() -> CompanionClient:
+            self._read_at[companion] = identity.changed()
+            return await connect_pinned(host, port, identity)
+
+        return dial
+
+    def _look_at_pins(self) -> None:
+        """Connect anew where a file has changed since: a companion whose certificate was removed gets nothing more."""
+        for name, read_at in self._read_at.items():
+            link = self.links.get(name)
+            if link is not None and Identity.of_ground(self.config.key_dir, name).changed() != read_at:
+                link.woke("a certificate was replaced or removed")

@@ -8,7 +8,7 @@
     watched     silence > ground_lost_s; "finish", a trajectory runs      finishing   - (it is flown on)
     watched     silence > ground_lost_s; "finish", none runs              acted       return
     finishing   contact                                                   watched     -
-    finishing   the trajectory has ended: it stays at its end             waiting     -
+    finishing   the trajectory has ended or is paused: it stays there     waiting     -
     waiting     contact                                                   watched     -
     waiting     for ground_lost_s                                         acted       return
     acted       contact, and control goes on: the order was denied        watched     -
@@ -61,8 +61,8 @@ class GroundContact:
         return self.state in (ContactState.FINISHING, ContactState.WAITING, ContactState.ACTED)
 
     def tick(self, now: float, *, controlled: bool, follows: bool, contact_at: float) -> Action | None:
-        """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that has not ended;
-        ``contact_at``: the last contact with the ground."""
+        """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that comes to its
+        end by itself; ``contact_at``: the last contact with the ground."""
         if not controlled:
             self.state = ContactState.IDLE
             return None

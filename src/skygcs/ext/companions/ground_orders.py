@@ -208,7 +208,9 @@ class GroundOrders:
         contact_at = max(self.book.contact_at, self._heartbeat_at)
         watch, before = self.contact_watch, self.contact_watch.state
         silent_s = watch.silence_s(now, contact_at)
-        follows = engagement.controller.flight is not None and not engagement.controller.flight.over(now)
+        flight = engagement.controller.flight
+        ends_at_s = None if flight is None else flight.clock.finishes_at_s(now)  # a paused one never ends by itself
+        follows = ends_at_s is not None and ends_at_s > now
         action = watch.tick(now, controlled=engagement.controller.active, follows=follows, contact_at=contact_at)
         if watch.state is not before and watch.lost:
             what = f"it is ordered to {action}" if action is not None else watch.state.value

@@ -30,6 +30,9 @@ MAX_PEM_BYTES = 64 * 1024
 HANDSHAKE_S = 5.0
 """Longest time for a handshake: two round trips at 0.8 s, and a lost packet."""
 
+PIN_LOOK_S = 1.0
+"""How soon a certificate that is not pinned any more loses its open connections, on both sides."""
+
 SHUTDOWN_S = 2.0
 """Longest time for closing a connection in order."""
 

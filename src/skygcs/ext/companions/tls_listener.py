@@ -3,7 +3,8 @@
     a connection                    becomes
     ----------------------------    ------------------------------------------------------------------
     beyond the limits of its        closed before the handshake, counted (a handshake costs the loop 1 ms,
-    address, or of all              control must not wait for a flood of them)
+    address, or of all others than  control must not wait for a flood of them)
+    the one the ground had last
     without the pinned certificate  closed by TLS, counted
     silent during the handshake     closed after HANDSHAKE_S
     the ground's                    a session as on the Unix socket, with the same limits
@@ -27,14 +28,11 @@ from skygcs.core.token_bucket import TokenBucket
 from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError, SkygcsError, explain_address_error
 from skygcs.events import Event
-from skygcs.ext.companions.tls import HANDSHAKE_S, SHUTDOWN_S, Identity, PinnedTls
+from skygcs.ext.companions.tls import HANDSHAKE_S, PIN_LOOK_S, SHUTDOWN_S, Identity, PinnedTls
 from skygcs.links.allow_from import format_address, resolve
 
 if TYPE_CHECKING:
     from skygcs.rpc.context import NewSession
-
-PIN_LOOK_S = 1.0
-"""How soon a certificate that is not pinned any more loses its open connections."""
 
 RETRY_S = 5.0
 BACKLOG = 32
@@ -65,16 +63,19 @@ class HandshakeLimits:
         self._all = TokenBucket(HANDSHAKES_PER_S, HANDSHAKES_PER_S, now)
         self._rates: OrderedDict[str, TokenBucket] = OrderedDict()
         self._open: Counter[str] = Counter()
+        self.known: str | None = None
+        """The address from which the pinned certificate was shown last: those of others do not keep it out."""
 
     def begin(self, host: str, now: float) -> bool:
         """True if a handshake with this address may begin; `end` must follow if so."""
-        if self._open.total() >= MAX_HANDSHAKES or self._open[host] >= MAX_HANDSHAKES_PER_ADDRESS:
+        known = host == self.known
+        if self._open[host] >= MAX_HANDSHAKES_PER_ADDRESS or not (known or self._open.total() < MAX_HANDSHAKES):
             return False
         rate = self._rates.pop(host, None) or TokenBucket(HANDSHAKES_PER_S_PER_ADDRESS, BURST, now)
         self._rates[host] = rate
         if len(self._rates) > MAX_ADDRESSES:
             self._rates.popitem(last=False)
-        if not rate.take(now) or not self._all.take(now):
+        if not rate.take(now) or not (known or self._all.take(now)):
             return False
         self._open[host] += 1
         return True
@@ -101,6 +102,7 @@ class TlsListener:
         self._on_event = on_event
         self._tls: PinnedTls | None = None
         self._read_at: object = None
+        self._limits = HandshakeLimits(asyncio.get_running_loop().time())
         self._handshakes: set[asyncio.Task[None]] = set()
         self._open: list[Any] = []
         """The transports of connections that were admitted."""
@@ -164,8 +166,7 @@ class TlsListener:
         return listener
 
     async def _accept(self, listener: socket.socket, new_session: NewSession) -> None:
-        loop = asyncio.get_running_loop()
-        limits = HandshakeLimits(loop.time())
+        loop, limits = asyncio.get_running_loop(), self._limits
         while True:
             sock, address = await loop.sock_accept(listener)
             host = str(address[0])
@@ -213,6 +214,7 @@ class TlsListener:
         """The last word after a handshake."""
         if tls.is_pinned(transport):
             self.counters["accepted"] += 1
+            self._limits.known = str(transport.get_extra_info("peername", ("",))[0])
             self._open = [other for other in self._open if not other.is_closing()]
             self._open.append(transport)
             self._report(None)
@@ -221,11 +223,10 @@ class TlsListener:
         return False
 
     async def _watch_pin(self) -> None:
-        """Close the connections of a ground whose certificate is not pinned any more: removed, or replaced."""
+        """Close the connections of a ground whose certificate is not pinned any more: removed, or replaced. They are
+        compared at each look: a handshake may have read the new files before it, or begun with the old ones."""
         while True:
             await asyncio.sleep(PIN_LOOK_S)
-            if self._identity.changed() == self._read_at:
-                continue
             try:
                 tls: PinnedTls | None = self._refresh()
             except SkygcsError as error:

@@ -38,6 +38,9 @@ MAX_TABLE_BYTES = 1 << 20
 MAX_LINE_BYTES = 2048
 MAX_MOUNTPOINTS = 4096
 SHOWN_MOUNTPOINTS = 8
+MAX_COMPARED = 200
+"""Names that are compared with the wrong one, of those that begin most like it: a caster that makes up 4096 of its
+letters had the loop for 0.4 s."""
 MAX_SHOWN_CHARS = 120
 """The caster's texts are cut to that in texts of ours."""
 
@@ -248,7 +251,8 @@ class NtripAnswer:
             return RefusedByCaster(
                 f"it answers a text instead of the stream {name}: is there a mountpoint of this name?"
             )
-        near = near_names(name, known) or sorted(known)
+        alike = sorted(known, key=lambda one: (one[:2] == name[:2], one[:1] == name[:1]), reverse=True)
+        near = near_names(name, alike[:MAX_COMPARED]) or sorted(known)
         shown = [visible(one) for one in near[:SHOWN_MOUNTPOINTS]]
         more = f", and {len(known) - len(shown)} more" if len(known) > len(shown) else ""
         return RefusedByCaster(

@@ -18,28 +18,32 @@ FOLDER = Path(skygcs.core.params.__file__).parent
 PX4, ARDUPILOT = (MetadataTable((FOLDER / f"metadata_{family}.tsv").read_bytes()) for family in ("px4", "ardupilot"))
 
 
+def one(table: MetadataTable, name: str) -> ParamMetadata | None:
+    return table.of([name]).get(name)
+
+
 def test_the_shipped_tables_know_what_the_firmwares_say() -> None:
     """Facts of PX4's mc_pos_control_params.c and commander_params.c, and of ArduPilot's AC_WPNav.cpp."""
-    cruise = PX4.of("MPC_XY_CRUISE")
+    cruise = one(PX4, "MPC_XY_CRUISE")
     assert cruise is not None and (cruise.unit, cruise.least, cruise.greatest) == ("m/s", 3, 20)
     assert cruise.outside(500) == "500 is outside its range of 3 to 20 m/s" and not cruise.outside(20)
-    loss = PX4.of("NAV_RCL_ACT")
+    loss = one(PX4, "NAV_RCL_ACT")
     assert loss is not None and loss.meaning(2) == "Return mode" and loss.outside(0)
-    reboot = {name: known.reboot for name in ("MAV_SYS_ID", "MPC_XY_CRUISE") if (known := PX4.of(name)) is not None}
+    reboot = {name: known.reboot for name in ("MAV_SYS_ID", "MPC_XY_CRUISE") if (known := one(PX4, name)) is not None}
     assert reboot == {"MAV_SYS_ID": True, "MPC_XY_CRUISE": False}
-    speed = ARDUPILOT.of("WPNAV_SPEED")
+    speed = one(ARDUPILOT, "WPNAV_SPEED")
     assert speed is not None and speed.range_text() == "10 to 2000 cm/s"
-    options = ARDUPILOT.of("MAV_OPTIONS")
+    options = one(ARDUPILOT, "MAV_OPTIONS")
     assert options is not None and "MAV_SYSID_GCS" in options.meaning(1)
     for channel in (1, 9, 32):  # one line for all of them
-        servo = ARDUPILOT.of(f"SERVO{channel}_FUNCTION")
+        servo = one(ARDUPILOT, f"SERVO{channel}_FUNCTION")
         assert servo is not None and servo.name == f"SERVO{channel}_FUNCTION" and servo.meaning(33) == "Motor1"
-    assert PX4.of("NO_SUCH") is None and "PX4" in PX4.source and "ArduPilot" in ARDUPILOT.source
+    assert one(PX4, "NO_SUCH") is None and "PX4" in PX4.source and "ArduPilot" in ARDUPILOT.source
 
 
 def test_many_values_are_judged_in_one_pass_as_one_is() -> None:
     values = {"MPC_XY_CRUISE": 500.0, "MPC_XY_VEL_MAX": 12.0, "PWM_MAIN_MIN3": 7, "NO_SUCH": 1, "RC1_MIN": 99.0}
-    one_by_one = {n: why for n, v in values.items() if (known := PX4.of(n)) is not None and (why := known.outside(v))}
+    one_by_one = {n: why for n, v in values.items() if (known := one(PX4, n)) is not None and (why := known.outside(v))}
     assert PX4.outside(values) == one_by_one and set(one_by_one) == {"MPC_XY_CRUISE", "PWM_MAIN_MIN3", "RC1_MIN"}
 
 
@@ -72,7 +76,7 @@ def test_instances_become_one_line_and_those_that_differ_keep_theirs() -> None:
     data = table([*entries, ParamMetadata("ALONE")], "a source")
     assert [line.split("\t")[0] for line in data.decode().splitlines()] == ["# a source", "ALONE", "RC#_MIN", "RC3_MIN"]
     found = MetadataTable(data)
-    least = [known.least for n in range(1, 5) if (known := found.of(f"RC{n}_MIN")) is not None]
+    least = [known.least for n in range(1, 5) if (known := one(found, f"RC{n}_MIN")) is not None]
     assert least == [800, 800, 900, 800]
     assert set(found.outside({f"RC{n}_MIN": 850 for n in range(1, 5)})) == {"RC3_MIN"}
 
@@ -142,7 +146,7 @@ def test_a_hostile_file_makes_a_table_or_none_and_raises_nothing(document: Any, 
 @given(st.binary(max_size=200))
 def test_a_broken_table_is_passed_over(data: bytes) -> None:
     found = MetadataTable(b"# x\n" + data)
-    found.of("A1"), found.outside({"A1": 3.0}), found.source
+    one(found, "A1"), found.outside({"A1": 3.0}), found.source
 
 
 @given(st.text(max_size=60), st.floats(), st.floats(), st.dictionaries(st.integers(0, 63), st.text(max_size=9)))

@@ -8,12 +8,16 @@ import json
 import ssl
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from skygcs.errors import DaemonUnreachable, LinkError
 from skygcs.events import Event
 from skygcs.ext.companions import tls_listener
+from skygcs.ext.companions.companions_table import CompanionsConfig
+from skygcs.ext.companions.ground import Companions
 from skygcs.ext.companions.pinned_client import connect_pinned
 from skygcs.ext.companions.tls import Identity, PinnedTls
 from skygcs.ext.companions.tls_listener import (
@@ -110,6 +114,7 @@ async def test_the_ground_may_do_what_a_local_client_may(door: Door) -> None:
     assert (await anext(aiter(events)))["text"] == "alpha: LAND"
     await ground.close()
     assert door.counted("accepted") == 1
+    assert door.listener._limits.known == "127.0.0.1"
 
 
 async def test_an_open_connection_ends_with_its_pin(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,6 +133,45 @@ async def test_an_open_connection_ends_with_its_pin(door: Door, monkeypatch: pyt
     again = await door.connect()
     assert (await again.call("daemon.info"))["version"]
     await again.close()
+
+
+async def test_it_ends_with_its_pin_also_if_another_handshake_reads_the_new_one_first(
+    door: Door, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anybody's connection between the change and the next look left the old ground its session for good."""
+    monkeypatch.setattr(tls_listener, "PIN_LOOK_S", 0.02)
+    ground = await door.connect()
+    assert (await ground.call("daemon.info"))["version"]
+    make_pair(tmp_path / "other", tmp_path / "unused")
+    (door.companion / "ground.crt").write_bytes((tmp_path / "other" / "ground.crt").read_bytes())
+    door.listener._refresh()  # as a handshake does
+    await door.until(lambda: door.counted("unpinned") == 1)
+    with pytest.raises(DaemonUnreachable):
+        await ground.call("daemon.info")
+    await ground.close()
+
+
+async def test_the_grounds_connection_ends_with_its_pin_of_the_companion(door: Door) -> None:
+    """The page has it removed when a vehicle's computer was stolen: that one stayed connected."""
+    sleep, log = SimpleNamespace(check=lambda: False), SimpleNamespace(publish=door.events.append)
+    table = {"key_dir": door.ground, "alpha": {"rpc": f"127.0.0.1:{door.port}"}}
+    core = cast(Any, SimpleNamespace(event_log=log, fleet=SimpleNamespace(sleep=sleep)))
+    ground = Companions(core, CompanionsConfig.model_validate(table))
+    link = ground.links.get("alpha")
+    assert link is not None
+    running = asyncio.create_task(ground.run())
+    try:
+        await door.until(lambda: link.is_up)
+        ground._look_at_pins()
+        (door.ground / "companions" / "alpha.crt").unlink()
+        await asyncio.sleep(0.1)
+        assert link.is_up
+        ground._look_at_pins()
+        await door.until(lambda: "alpha.crt is missing" in str(link.last_error))
+        assert not link.is_up and link.connected == 1
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
 
 
 async def test_a_client_without_a_certificate_is_refused(door: Door) -> None:
@@ -302,3 +346,12 @@ def test_many_addresses_have_one_limit_and_take_no_memory() -> None:
     assert sum(limits.begin(f"10.1.0.{host}", 1000.0) for host in range(100)) == 0  # none of them ended
     assert limits._open.total() == MAX_HANDSHAKES
     assert len(limits._rates) <= MAX_ADDRESSES
+
+
+def test_half_open_handshakes_of_many_addresses_do_not_keep_the_ground_from_coming_back() -> None:
+    limits = HandshakeLimits(0.0)
+    limits.known = "10.0.0.1"
+    assert sum(limits.begin(f"10.1.0.{host}", second) for second in (0.0, 1.0) for host in range(50)) == MAX_HANDSHAKES
+    assert not limits.begin("10.0.0.2", 1.0)
+    begun = [limits.begin("10.0.0.1", 1.0) for _ in range(MAX_HANDSHAKES_PER_ADDRESS + 1)]
+    assert begun == [True] * MAX_HANDSHAKES_PER_ADDRESS + [False]

@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.errors import LinkError
+from skygcs.ext.corrections import ntrip
 from skygcs.ext.corrections.ntrip import (
+    MAX_COMPARED,
     MAX_HEAD_BYTES,
     MAX_LINE_BYTES,
     MAX_MOUNTPOINTS,
@@ -189,3 +191,14 @@ def test_nothing_that_is_sent_raises_anything_else(pieces: list[bytes], begin: b
     except LinkError:
         return
     assert len(answer._held) <= MAX_HEAD_BYTES + 200
+
+
+def test_a_wrong_name_is_compared_with_a_bounded_number_of_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """4096 names of the same letters held the loop for 0.4 s."""
+    compared: list[list[str]] = []
+    near_names = ntrip.near_names
+    monkeypatch.setattr(ntrip, "near_names", lambda name, known: compared.append(known) or near_names(name, known))
+    table = b"".join(b"STR;TNUOM%d;\r\n" % n for n in range(MAX_MOUNTPOINTS - 1)) + b"STR;MOUMT;\r\n"
+    with pytest.raises(RefusedByCaster, match="its 4096: MOUMT"):
+        read(b"SOURCETABLE 200 OK\r\n" + table + b"ENDSOURCETABLE\r\n")
+    assert [len(known) for known in compared] == [MAX_COMPARED]
