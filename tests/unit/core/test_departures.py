@@ -11,16 +11,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygcs.core.monitor.departures import (
+    ABOVE_M,
+    AT_HOME_M,
+    BRAKES_MPS2,
+    MOVED_M,
+    OTHERS_S,
+    SILENT_S,
+    SINKS_MPS,
+    STANDS_MPS,
+    STUCK_S,
     UNKNOWN,
     Departures,
+    Progress,
     ReturnHeight,
     Returning,
+    departing,
     departures,
+    is_placed,
+    known_return_height,
     one_at_a_time,
+    return_height,
+    why_not_held,
 )
-from skygcs.core.monitor.ways import standing, too_near
+from skygcs.core.monitor.ways import Leg, column, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from support.examples import examples
+from support.watched_fleet import GUIDED, LAND, ORIGIN, RTL, WatchedVehicle
 
 SIZE = Footprint()
 MARGIN_M = pair_margin(SIZE, SIZE).total_m
@@ -241,3 +257,132 @@ def test_one_whose_place_is_no_number_may_be_anywhere(axis: int) -> None:
     other = replace(here, key=2, here=(nowhere[0], nowhere[1], nowhere[2]), home=(50.0, 50.0, 0.0))
     for way in (other.place(), other.way()):
         assert too_near(here.way(), way) and too_near(way, here.way())
+
+
+@pytest.mark.parametrize(
+    ("heights_m", "climb_m", "height"),
+    [
+        ([15.0], None, ReturnHeight(0.0, 15.0)),
+        ([15.0], math.nan, ReturnHeight(0.0, 15.0)),
+        ([15.0, 20.0], 3.0, ReturnHeight(0.0, 20.0, 3.0)),
+        ([-1.0], -2.0, ReturnHeight(0.0, 0.0)),
+        ([0.5], 0.5, ReturnHeight(0.0, 0.5, 0.5)),
+        ([15.0, None], 0.0, UNKNOWN),
+        ([15.0, math.inf], 0.0, UNKNOWN),
+        ([], 0.0, UNKNOWN),
+    ],
+)
+def test_the_return_height_is_the_highest_of_those_that_are_all_known(
+    heights_m: list[float | None], climb_m: float | None, height: ReturnHeight
+) -> None:
+    assert return_height(heights_m, climb_m) == height
+
+
+def test_a_copters_return_height_and_place_are_known_once_it_has_reported_them() -> None:
+    copter = WatchedVehicle(1)
+    vehicle = copter.vehicle
+
+    def read(**params: float) -> None:
+        for name, value in params.items():
+            values = {"param_id": name, "param_value": value, "param_type": 9, "param_count": 9, "param_index": 1}
+            copter.send("PARAM_VALUE", 1.0, **values)
+
+    copter.heartbeat(1.0)
+    assert known_return_height(vehicle) == UNKNOWN and not is_placed(vehicle, 1.0)
+    read(RTL_ALT=2500.0)
+    assert known_return_height(vehicle) == UNKNOWN, "how far it climbs at least is not known"
+    read(RTL_CLIMB_MIN=150.0)
+    assert known_return_height(vehicle) == ReturnHeight(0.0, 25.0, 1.5)
+    copter.position(1.0, (0.0, 0.0, 10.0))
+    assert not is_placed(vehicle, 1.0), "its home is not known"
+    lat, lon, alt = round(ORIGIN.lat_deg * 1e7), round(ORIGIN.lon_deg * 1e7), round(ORIGIN.alt_amsl_m * 1000)
+    copter.send("HOME_POSITION", 1.0, latitude=lat, longitude=lon, altitude=alt)
+    assert is_placed(vehicle, 1.0)
+    vehicle.replayed = True
+    assert not is_placed(vehicle, 1.0)
+    vehicle.replayed = False
+    for mode, why in ((GUIDED, None), (RTL, "it is in RTL"), (LAND, "it is in LAND")):
+        copter.heartbeat(2.0, mode=mode)
+        assert why_not_held(vehicle) == why
+    copter.heartbeat(2.0, status=5)
+    assert why_not_held(vehicle) == "its own failsafe acts"
+    copter.heartbeat(3.0, armed=False, status=3)
+    assert not is_placed(vehicle, 3.0), "on the ground"
+
+
+def test_one_without_a_place_or_a_home_or_that_circles_is_not_placed() -> None:
+    homeless, nowhere, plane = (WatchedVehicle(i) for i in (1, 2, 3))
+    for one in (homeless, nowhere, plane):
+        one.heartbeat(1.0, kind=1 if one is plane else 2)
+    for one in (homeless, plane):
+        one.position(1.0, (0.0, 0.0, 10.0))
+    for one in (nowhere, plane):
+        one.send("HOME_POSITION", 1.0, latitude=437806000, longitude=-794653000, altitude=180000)
+    assert not any(is_placed(one.vehicle, 1.0) for one in (homeless, nowhere, plane))
+
+
+def test_returns_go_on_while_one_of_them_moves_and_not_for_ever_while_others_do() -> None:
+    progress = Progress(100.0)
+    assert progress.goes_on(99.9 + STUCK_S) and not progress.goes_on(100.0 + STUCK_S)
+    progress.note(1, (0.0, 0.0, 10.0), 110.0, ours=True)
+    progress.note(1, (MOVED_M, 0.0, 10.0), 120.0, ours=True)
+    assert progress.moved_at == 110.0, "it has wandered"
+    progress.note(1, (MOVED_M + 0.1, 0.0, 10.0), 130.0, ours=True)
+    assert progress.moved_at == 130.0
+    progress.note(1, (MOVED_M + 0.2, 0.0, 10.0), 140.0, ours=True)
+    assert progress.moved_at == 130.0, "from where it had moved to"
+    # one that others fly moves on and on
+    for step in range(int(OTHERS_S / 10.0)):
+        progress.note(9, (10.0 * step, 0.0, 10.0), 140.0 + 10.0 * step, ours=False)
+    assert progress.goes_on(129.9 + OTHERS_S) and not progress.goes_on(130.0 + OTHERS_S)
+    # it lands, or is not seen any more: the way is clear
+    progress.note(9, None, 440.0, ours=False)
+    assert progress.goes_on(440.0) and progress.goes_on(439.9 + STUCK_S)
+    progress.note(9, None, 450.0, ours=False)
+    assert progress.moved_at == 440.0, "it had landed before"
+    progress.note(9, (0.0, 0.0, 10.0), 460.0, ours=False)
+    assert progress.moved_at == 460.0 and Progress().goes_on(0.0) is False
+
+
+def test_the_way_home_of_one_that_waits_returns_or_lands() -> None:
+    one = replace(at(1, (30.0, 40.0, 10.0), (0.0, 0.0), ReturnHeight(12.0, 15.0, 7.0)), velocity_mps=(3.0, 4.0, 2.0))
+    brakes_m = 25.0 / (2.0 * BRAKES_MPS2)
+    assert one.highest_m == 17.0 and replace(one, home=(0.0, 0.0, 5.0)).highest_m == 20.0
+    assert one.ball_m == pytest.approx(brakes_m)
+    for age_s in (SILENT_S / 2.0, 60.0):
+        assert replace(one, age_s=age_s).ball_m == pytest.approx(brakes_m + SIZE.ball_m(min(age_s, SILENT_S)))
+    over = Leg((30.0, 40.0), (0.0, 0.0), 12.0, 17.0)
+    assert one.way().legs == (column(one.here, 17.0), over, column(one.home, 17.0))
+    under_way = replace(one, age_s=SILENT_S).way(under_way=True)
+    assert under_way.legs == one.way().legs and under_way.ball_m == SIZE.ball_m(SILENT_S), "it does not brake"
+    near = replace(one, here=(AT_HOME_M, 0.0, 10.0))
+    for sinks_mps, lands in ((SINKS_MPS, False), (SINKS_MPS + 0.01, True), (-1.0, False)):
+        way = replace(near, velocity_mps=(0.0, 0.0, -sinks_mps)).way(under_way=True)
+        assert (way.legs == (column((0.0, 0.0, 10.0), 0.0),)) is lands
+    seen = replace(one, age_s=2.0, height=UNKNOWN).as_seen()
+    assert seen == replace(one, velocity_mps=(0.0, 0.0, 2.0), height=ReturnHeight(0.0, 0.0))
+    assert one.as_seen().height == one.height, "which was read"
+
+
+def test_a_decision_gives_way_to_others_after_each_piece_of_work() -> None:
+    """In thousands of ways no piece is longer than `AT_A_TURN` comparisons."""
+    fleet = [at(i, (5.0 * i, 0.0, 10.0), (5.0 * i, 0.0)) for i in range(10)]
+    far = [at(99, (0.0, 1e4, 10.0), (0.0, 1e4)).place()] * 65
+    assert sum(1 for _ in departing(fleet, [], far)) == len(fleet) * (1 + 3 + 1)
+
+
+def test_those_that_climb_above_a_way_keep_above_each_other() -> None:
+    parked = [at(9, (60.0, 0.0, 0.0), (60.0, 0.0)).place()]
+    one, lower = at(1, (0.0, 0.2, 10.0), (40.0, 0.2)), at(2, (20.0, 0.0, 12.0), (60.0, 0.0))
+    above_m = 2.0 * MARGIN_M + ABOVE_M
+    for aside_m, higher in ((MARGIN_M - 0.1, True), (MARGIN_M, False)):
+        upper = at(3, (20.0, aside_m, 16.0), (60.0, 0.0))
+        climbs = departures([one, lower, upper], [], parked).climb
+        assert climbs[3] == pytest.approx(15.0 + (2.0 if higher else 1.0) * above_m), climbs
+
+
+def test_one_that_still_moves_is_not_judged_by_those_that_stay() -> None:
+    stays = at(9, (0.0, 0.0, 16.0), (0.0, 0.0)).place()
+    for speed_mps, climbs in ((STANDS_MPS, True), (STANDS_MPS + 0.01, False)):
+        one = replace(at(1, (-30.0, 0.0, 10.0), (30.0, 0.0)), velocity_mps=(0.0, speed_mps, 0.0))
+        assert (departures([one], [], [stays], {9}).climb != {}) is climbs
