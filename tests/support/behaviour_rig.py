@@ -112,8 +112,9 @@ class Rig(ABC):
         self._pass(STEP_S)
 
     def run(self, seconds: float) -> None:
-        end = self.clock() + seconds
-        while self.clock() < end - 1e-9:
+        """So long by the vehicle's clock, and at most twice as long by the station's."""
+        end_s, end = self.time() + seconds, self.clock() + 2 * seconds
+        while self.time() < end_s - STEP_S / 2 and self.clock() < end:
             self.step()
 
     def wait(self, condition: Callable[[], Any], limit_s: float, what: str = "") -> float | None:
@@ -149,6 +150,8 @@ class Rig(ABC):
             return
         name = message.get_type()
         self.heard[name] = message
+        if (now := getattr(message, "time_boot_ms", 0) / 1e3) > self.now:
+            self.now, self._heard_at = now, self.clock()
         if name == "HEARTBEAT":
             armed = bool(message.base_mode & 128)
             if armed != self.armed:
@@ -160,8 +163,6 @@ class Rig(ABC):
             if message.custom_mode != self.mode:
                 self.modes.append((self.now, message.custom_mode))
         elif name == "GLOBAL_POSITION_INT":
-            if (now := message.time_boot_ms / 1e3) > self.now:
-                self.now, self._heard_at = now, self.clock()
             east_m, north_m = FIELD.to_local(message.lat / 1e7, message.lon / 1e7)
             self.track.append(
                 Sample(
