@@ -112,9 +112,10 @@ class Rig(ABC):
         self._pass(STEP_S)
 
     def run(self, seconds: float) -> None:
-        """So long by the vehicle's clock, and at most twice as long by the station's."""
-        end_s, end = self.time() + seconds, self.clock() + 2 * seconds
-        while self.time() < end_s - STEP_S / 2 and self.clock() < end:
+        """So long by both clocks, at most twice as long by the station's. What a vehicle says of its clock may come
+        late, and then much of it at once."""
+        end_s, end = self.time() + seconds, self.clock() + seconds
+        while (left_s := end - self.clock()) > 1e-9 or (self.time() < end_s - STEP_S / 2 and left_s > -seconds):
             self.step()
 
     def wait(self, condition: Callable[[], Any], limit_s: float, what: str = "") -> float | None:
