@@ -224,6 +224,8 @@ def test_a_mixed_fleet_returns_by_an_order_for_each(fleet: MixedField, row: dict
         time.sleep(1.0)
     assert any("returns then" in text for text in row["answers"].values()), row
     _come_home(fleet, row, began, *fleet.names)
+    climbed = {text.split()[0] for text in row["said"] if "it climbs" in text}
+    assert not any(climbed.issuperset(pair) for pair in (fleet.names[:2], fleet.names[2:])), "one above the other"
     row["finished"] = True
 
 
