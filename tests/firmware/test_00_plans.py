@@ -1,11 +1,11 @@
-"""Plans flown by two PX4s and two ArduCopters in one fleet, from the ground to the landing. Before the other files,
-which have one firmware each."""
+"""Plans and returns flown by two PX4s and two ArduCopters in one fleet, from the ground to the landing. Before the
+other files, which have one firmware each."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import pytest
@@ -212,6 +212,86 @@ def test_a_mixed_fleet_flies_as_a_formation(fleet: MixedField, row: dict[str, An
     row["least_by_pair_m"] = {" ".join(pair): round(least_m, 2) for pair, least_m in least.items()}
     assert least[nearest] >= KNOWN_M, row
     row["finished"] = True
+
+
+def test_a_mixed_fleet_returns_by_an_order_for_each(fleet: MixedField, row: dict[str, Any]) -> None:
+    """Two of each firmware have changed places, and each is ordered alone, a second after the one before."""
+    _change_places(fleet)
+    began = time.monotonic()
+    row["answers"] = {}
+    for name in fleet.names:
+        row["answers"][name] = fleet.order("vehicles.rtl", name)[name]["message"]
+        time.sleep(1.0)
+    assert any("returns then" in text for text in row["answers"].values()), row
+    _come_home(fleet, row, began, *fleet.names)
+    climbed = {text.split()[0] for text in row["said"] if "it climbs" in text}
+    assert not any(climbed.issuperset(pair) for pair in (fleet.names[:2], fleet.names[2:])), "one above the other"
+    row["finished"] = True
+
+
+def test_one_returns_past_what_hovers_and_what_is_parked(fleet: MixedField, row: dict[str, Any]) -> None:
+    """The one whose home is taken waits until the other has gone; one that stands beside its home keeps nobody up."""
+    for returns, hovers in (fleet.names[:2], fleet.names[:1:-1]):
+        (home, _, _), (stand, _, _) = stands(fleet)[returns], stands(fleet)[hovers]
+        _takes_off(fleet, (returns, hovers))
+        _goes(fleet, returns, (home, 15.0, UP_M))
+        _goes(fleet, hovers, (home, 0.0, UP_M))
+        began = time.monotonic()
+        waits = fleet.order("vehicles.rtl", returns)[returns]["message"]
+        assert hovers in waits and "ordered again" in waits, waits
+        time.sleep(10.0)
+        assert _now(fleet, returns)[2] > UP_M / 2, "it waits in the air"
+        _goes(fleet, hovers, (home + (stand - home) / 2, 0.0, UP_M))
+        fleet.order("vehicles.land", hovers)
+        row[returns] = [waits]
+        _come_home(fleet, row, began, returns)
+        # beside one that stands 5 m from its home
+        _takes_off(fleet, (returns,))
+        _goes(fleet, returns, (home, 15.0, UP_M))
+        began = time.monotonic()
+        row[returns].append(fleet.order("vehicles.rtl", returns)[returns]["message"])
+        assert row[returns][-1] == "returning to launch", row
+        _come_home(fleet, row, began, returns)
+        # back to where the next scenario begins
+        _takes_off(fleet, (hovers,))
+        _goes(fleet, hovers, (stand, 0.0, UP_M))
+        fleet.order("vehicles.land", hovers)
+        fleet.wait(lambda h=hovers: not fleet.truth(h).armed, 60, f"{hovers} has landed")  # type: ignore[misc]
+    row["finished"] = True
+
+
+def _takes_off(fleet: MixedField, names: Sequence[str]) -> None:
+    fleet.wait_idle(*names)
+    fleet.order("vehicles.takeoff", names, height_m=UP_M, wait_s=60)
+    fleet.wait(lambda: all(fleet._is_up(name, UP_M) for name in names), 90, f"{names} are up")
+
+
+def _goes(fleet: MixedField, name: str, place: Vector) -> None:
+    fleet.order("vehicles.goto", name, enu_m=list(place), force=True)
+    fleet.wait(lambda: math.dist(_now(fleet, name), place) < 1.5, 60, f"{name} is at {place}")
+
+
+def _change_places(fleet: MixedField) -> None:
+    """Each above the home of the other of its firmware."""
+    places = stands(fleet)
+    _takes_off(fleet, fleet.names)
+    for one, other in (fleet.names[:2], fleet.names[2:]):
+        _goes(fleet, other, (places[other][0], 8.0, UP_M))
+        _goes(fleet, other, (places[one][0], 8.0, UP_M))
+        _goes(fleet, one, places[other])
+        _goes(fleet, other, places[one])
+
+
+def _come_home(fleet: MixedField, row: dict[str, Any], since: float, *names: str) -> None:
+    """Until all are down: ``names`` at their homes, and none was too near another."""
+    fleet.wait(lambda: not any(fleet.truth(n).armed for n in fleet.names), 400, "all are down")
+    row.setdefault("home s", []).append(round(time.monotonic() - since, 1))
+    row.setdefault("least m", []).append(round(min(_least(fleet, since).values()), 2))
+    said = fleet.watcher.events_since(since, "command")
+    row["said"] = row.get("said", []) + [f"{e['vehicle']} {e['text'][:70]}" for e in said if "rtl: it " in e["text"]]
+    homes = {name: fleet.state(name)["home"] for name in names}
+    away = {name: fleet.truth(name).metres_from(home["lat_deg"], home["lon_deg"]) for name, home in homes.items()}
+    assert row["least m"][-1] > KNOWN_M and max(away.values()) < 4.0, (row, away)
 
 
 def _family(name: str) -> str:

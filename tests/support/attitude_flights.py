@@ -97,9 +97,7 @@ def attitude_targets(rig: Rig) -> Figures:
 
 
 def check_attitude_targets(rig: Rig, f: Figures, found: Findings) -> None:
-    found.share(
-        "rates alone, roll", f["rates alone, roll of .15"], 0.15, 1.6
-    )  # wall time, and no attitude to return to
+    found.share("rates alone, roll", f["rates alone, roll of .15"], 0.15, 1.6)  # in steps, and no attitude to return to
     found.same("nothing but thrust", f["nothing but thrust"], "as it leans")
     found.same("mode changed", f["nothing but thrust, mode changed"], rig.px4)
     for what, wanted in rules(rig).attitude_targets.value.items():

@@ -214,7 +214,7 @@ def position_and_velocity(rig: Rig) -> Figures:
     figures: Figures = {}
     for name, mask in (("with velocity", POSITION_VELOCITY_MASK), ("without", POSITION_MASK)):
         take_off(rig)
-        begin, north, east = rig.clock(), rig.here.north_m, rig.here.east_m
+        begin, north, east = rig.time(), rig.here.north_m, rig.here.east_m
 
         def target(t: float, mask: int = mask, begin: float = begin, north: float = north, east: float = east) -> Any:
             where = (east, north + 2 * (t - begin), HEIGHT_M)
@@ -225,7 +225,7 @@ def position_and_velocity(rig: Rig) -> Figures:
         if rig.px4:
             assert rig.set_mode(PX4_OFFBOARD) == 0
         rig.run(8)
-        figures[f"behind {name} m"] = round(north + 2 * (rig.clock() - begin) - rig.here.north_m, 1)
+        figures[f"behind {name} m"] = round(north + 2 * (rig.now - begin) - rig.here.north_m, 1)
         figures[f"speed {name}"] = round(rig.here.vel_mps, 1)
         end(rig)
     return figures

@@ -65,6 +65,8 @@ class Rig(ABC):
         """East and north of FIELD: where the track's zero is, the place of the last take-off."""
         self.now = 0.0
         """Of the vehicle's clock, as far as heard."""
+        self._heard_at = 0.0
+        """By the station's clock, when `now` was heard."""
         self._acks: list[tuple[int, int]] = []
         self._params: dict[str, float] = {}
         self._parser = mav.MAVLink(None)
@@ -72,7 +74,7 @@ class Rig(ABC):
         self._packer = mav.MAVLink(None, 255, 190)
         self._beat_at = -1e9
         self.stream: Callable[[float], Any] | None = None
-        """Sent at every step while set: a setpoint by the time."""
+        """Sent at every step while set: a setpoint by the vehicle's time."""
 
     # -- what differs
 
@@ -84,8 +86,8 @@ class Rig(ABC):
     def _write(self, raw: bytes) -> None: ...
 
     @abstractmethod
-    def _pass(self, seconds: float) -> list[Any]:
-        """Let time pass; the messages heard."""
+    def _pass(self, seconds: float) -> None:
+        """Let time pass, and `_hear` what comes when it comes."""
 
     @abstractmethod
     def gps(self, there: bool) -> None:
@@ -96,29 +98,36 @@ class Rig(ABC):
 
     # -- time
 
+    def time(self) -> float:
+        """Of the vehicle's clock now: what it said last, and at most a step more. On a busy machine a firmware's
+        simulator is slower than real time, so what is flown and measured against a clock is so by this one."""
+        return self.now + min(self.clock() - self._heard_at, STEP_S)
+
     def step(self) -> None:
         if not self.silent and self.clock() - self._beat_at >= HEARTBEAT_S:
             self._beat_at = self.clock()
             self.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
-        if self.stream is not None and (setpoint := self.stream(self.clock())) is not None:
+        if self.stream is not None and (setpoint := self.stream(self.time())) is not None:
             self.send(setpoint)
-        for message in self._pass(STEP_S):
-            self._take(message)
+        self._pass(STEP_S)
 
     def run(self, seconds: float) -> None:
-        end = self.clock() + seconds
-        while self.clock() < end - 1e-9:
+        """So long by both clocks, at most twice as long by the station's. What a vehicle says of its clock may come
+        late, and then much of it at once."""
+        end_s, end = self.time() + seconds, self.clock() + seconds
+        while (left_s := end - self.clock()) > 1e-9 or (self.time() < end_s - STEP_S / 2 and left_s > -seconds):
             self.step()
 
     def wait(self, condition: Callable[[], Any], limit_s: float, what: str = "") -> float | None:
-        """Seconds, by the station's clock, until it held; None if it did not. With ``what`` that is an error."""
-        began = self.clock()
+        """Seconds, by the vehicle's clock, until it held; None if it did not within ``limit_s`` of the station's. With
+        ``what`` that is an error."""
+        began, began_s = self.clock(), self.time()
         while not condition():
             if self.clock() - began > limit_s:
                 assert not what, f"not within {limit_s:g} s: {what}; mode {self.mode:#x}, {self.texts[-3:]}"
                 return None
             self.step()
-        return self.clock() - began
+        return self.time() - began_s
 
     # -- what it says
 
@@ -133,11 +142,17 @@ class Rig(ABC):
     def mode_sequence(self, since_s: float) -> list[int]:
         return [mode for at, mode in self.modes if at >= since_s]
 
+    def _hear(self, data: bytes) -> None:
+        for message in self._parser.parse_buffer(data) or []:
+            self._take(message)
+
     def _take(self, message: Any) -> None:
         if message.get_srcSystem() != self.sysid or message.get_srcComponent() != 1:
             return
         name = message.get_type()
         self.heard[name] = message
+        if (now := getattr(message, "time_boot_ms", 0) / 1e3) > self.now:
+            self.now, self._heard_at = now, self.clock()
         if name == "HEARTBEAT":
             armed = bool(message.base_mode & 128)
             if armed != self.armed:
@@ -149,7 +164,6 @@ class Rig(ABC):
             if message.custom_mode != self.mode:
                 self.modes.append((self.now, message.custom_mode))
         elif name == "GLOBAL_POSITION_INT":
-            self.now = max(self.now, message.time_boot_ms / 1e3)
             east_m, north_m = FIELD.to_local(message.lat / 1e7, message.lon / 1e7)
             self.track.append(
                 Sample(
@@ -244,8 +258,10 @@ def _int_as_float(value: int) -> float:
 class SimRig(Rig):
     """skygcs's own simulated vehicle; ``vehicle`` may be broken as tests do."""
 
-    def __init__(self, firmware: str, sysid: int = 1) -> None:
+    def __init__(self, firmware: str, sysid: int = 1, *, rate: float = 1.0) -> None:
+        """``rate``: seconds of the vehicle in one of the station."""
         super().__init__(firmware, sysid)
+        self._rate = rate
         self.vehicle: SimVehicle = px4(sysid) if firmware == "px4" else copter(sysid)
         self._clock = 0.0
         self._uplink = FrameParser(sim_dialect())
@@ -255,14 +271,12 @@ class SimRig(Rig):
 
     def _write(self, raw: bytes) -> None:
         for frame in self._uplink.feed(raw):
-            self.vehicle.on_frame(frame, self._clock)
+            self.vehicle.on_frame(frame, self._clock * self._rate)
 
-    def _pass(self, seconds: float) -> list[Any]:
+    def _pass(self, seconds: float) -> None:
         self._clock += seconds
-        heard = []
-        for raw in self.vehicle.step(self._clock):
-            heard.extend(self._parser.parse_buffer(raw) or [])
-        return heard
+        for raw in self.vehicle.step(self._clock * self._rate):
+            self._hear(raw)
 
     def gps(self, there: bool) -> None:
         self.vehicle.faults.gps_lost = not there
@@ -296,16 +310,15 @@ class FirmwareRig(Rig):
         if self._peer is not None:
             self._socket.sendto(raw, self._peer)
 
-    def _pass(self, seconds: float) -> list[Any]:
+    def _pass(self, seconds: float) -> None:
         end = time.monotonic() + seconds
-        heard: list[Any] = []
         while True:
             try:
                 data, self._peer = self._socket.recvfrom(65536)
-                heard.extend(self._parser.parse_buffer(data) or [])
+                self._hear(data)
             except BlockingIOError:
                 if (left := end - time.monotonic()) <= 0:
-                    return heard
+                    return
                 time.sleep(min(left, 0.01))
 
     def gps(self, there: bool) -> None:

@@ -22,6 +22,8 @@ from support.sim_pilot import FIELD
 
 RADIUS_M, SPEED_MPS = 5.0, 2.0
 PERIOD_S = 2 * pi * RADIUS_M / SPEED_MPS
+LIMIT_S = 300.0
+"""Of the station's clock, for a flight of two circles by the vehicle's."""
 EVERY_S = 0.2
 """Between two targets: 5 Hz, as `position` control sends them."""
 
@@ -92,8 +94,7 @@ def be_airborne(rig: Rig) -> None:
 def follow(rig: Rig, way: Way, *, settle_s: float = PERIOD_S, laps: float = 1.0) -> list[float]:
     """Horizontal distances (m) from the reference over the last laps, by the vehicle's own position and clock."""
     be_airborne(rig)
-    begin, sent_at = rig.clock(), -1e9
-    offset_s = 1e9
+    begin, sent_at = rig.time(), -1e9
 
     def target(t: float) -> Any:
         nonlocal sent_at
@@ -107,15 +108,10 @@ def follow(rig: Rig, way: Way, *, settle_s: float = PERIOD_S, laps: float = 1.0)
     if rig.px4:
         assert rig.set_mode(PX4_OFFBOARD) == 0
     start = len(rig.track)
-    while rig.clock() - begin < settle_s + laps * PERIOD_S:
-        before = len(rig.track)
-        rig.step()
-        if len(rig.track) > before:  # the sample that came quickest shows how the clocks are apart
-            offset_s = min(offset_s, rig.clock() - rig.here.t_s)
+    rig.wait(lambda: rig.time() - begin >= settle_s + laps * PERIOD_S, LIMIT_S, "it has flown the circles")
     errors = []
     for sample in rig.track[start:]:
-        t_s = sample.t_s + offset_s - begin
-        if t_s > settle_s:
+        if (t_s := sample.t_s - begin) > settle_s:
             (east, north, _), _, _ = circle(t_s)
             errors.append(hypot(sample.east_m - east, sample.north_m - north))
     end(rig)

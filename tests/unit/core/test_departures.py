@@ -131,6 +131,14 @@ def test_two_that_have_changed_places_leave_after_one_has_climbed_above_the_othe
     assert set(air.landed) == {1, 2} and air.least_m >= MARGIN_M - 1e-6
 
 
+def test_what_climbs_out_of_anothers_way_goes_on_and_that_one_does_not_climb_too() -> None:
+    """Whoever's return height is read later, or is higher by now: they climbed one above the other, in turns."""
+    goal_m = departures(pair := [at(1, (0, 0, 10), (5, 0)), at(2, (5, 0, 10), (0, 0))], []).climb[2]
+    for up_m, height in ((12.0, ReturnHeight(14.0, 14.0)), (18.0, RETURN)):
+        climbs = replace(pair[1], here=(5.0, 0.0, up_m), height=height, goal_m=goal_m)
+        assert departures([pair[0], climbs], []).climb == {2: pytest.approx(goal_m)}
+
+
 def test_an_unknown_return_height_is_any_and_the_ways_are_flown_one_after_the_other() -> None:
     line = [at(i, (20.0 + 5.0 * i, 0.0, 10.0), (5.0 * i, 0.0), UNKNOWN) for i in range(3)]
     found = departures(line, [])

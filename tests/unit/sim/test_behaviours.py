@@ -28,6 +28,18 @@ def test_the_simulator_does_what_the_table_says(firmware: str, name: str) -> Non
     assert not problems, figures
 
 
+@each(
+    ("firmware", "name"),
+    [("ardupilot", "circle"), ("px4", "position and velocity"), ("ardupilot", "velocity then silence")],
+)
+def test_a_vehicle_slower_than_real_time_is_measured_by_its_own_clock(firmware: str, name: str) -> None:
+    """As a firmware's simulator is on a busy machine: it loses time for good."""
+    rig = SimRig(firmware, rate=0.7)
+    get_ready(rig, 30.0)
+    figures, problems = fly(name, rig)
+    assert not problems, figures
+
+
 @each("firmware", [PX4, COPTER], ids=["px4", "ardupilot"])
 def test_every_value_names_its_source(firmware: Firmware) -> None:
     for field in fields(firmware):

@@ -302,9 +302,11 @@ def _climbs(
     fenced: set[int],
 ) -> Generator[None, None, dict[int, float]]:
     """Return which vehicles climb, and to where, so that one of those leaves that only wait for others that wait: the
-    one with the fewest in its way. ``fenced`` gets those whose ceilings are lower."""
-    for one in sorted(ordered, key=lambda one: len(blocked[one.key][1]) if one.key in blocked else 0):
-        if one.key not in blocked or blocked[one.key][0] or math.isinf(one.highest_m):
+    one with the fewest in its way, and rather one that was not sent up out of another's way itself. ``fenced`` gets
+    those whose ceilings are lower."""
+    only_wait = [one for one in ordered if one.key in blocked and not blocked[one.key][0]]
+    for one in sorted(only_wait, key=lambda one: (one.goal_m is not None, len(blocked[one.key][1]))):
+        if math.isinf(one.highest_m):
             continue
         goals = _above(one, blocked[one.key][1])
         found: dict[int, float] = {}
