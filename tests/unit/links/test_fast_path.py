@@ -315,19 +315,19 @@ def test_what_is_closed_is_released() -> None:
 
     for _ in range(3):
         once()
-    gc.collect()
     tracemalloc.start()
+    grown = []
     try:
-        once()
-        gc.collect()
-        before = tracemalloc.get_traced_memory()[0]
-        for _ in range(20):
-            once()
-        gc.collect()
-        grown = tracemalloc.get_traced_memory()[0] - before
+        for _ in range(4):  # a leak grows each time; a table of the interpreter that happens to grow does so once
+            gc.collect()
+            before = tracemalloc.get_traced_memory()[0]
+            for _ in range(10):
+                once()
+            gc.collect()
+            grown.append(tracemalloc.get_traced_memory()[0] - before)
     finally:
         tracemalloc.stop()
-    assert grown < 20_000  # one flow that is kept of fifty would be 20 times 100 bytes, one fast path 20 times 1,000
+    assert min(grown) < 900, grown  # one flow that is kept of fifty would be 10 times 100 bytes
 
 
 def test_peers_that_come_and_go_do_not_add_up(bench: Bench) -> None:
