@@ -92,9 +92,9 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
         "runtime/flight_notes.py": ("../integration/test_restart_in_flight.py", "runtime/test_fleet.py"),
     },
     "returns": {
-        "core/monitor/departures.py": ("core/test_departures.py",),
-        "core/monitor/ways.py": ("core/test_way_conflicts.py", "core/test_departures.py"),
-        "core/monitor/order_check.py": ("core/test_monitor.py", "core/test_hold_circle.py"),
+        "core/monitor/departures.py": ("core/monitor/test_departures.py",),
+        "core/monitor/ways.py": ("core/monitor/test_ways.py", "core/monitor/test_departures.py"),
+        "core/monitor/order_check.py": ("core/monitor/test_monitor.py", "core/monitor/test_hold_circle.py"),
         "runtime/returns.py": (
             "../integration/test_returns_that_hold.py",
             "../integration/test_returns_at_once.py",
