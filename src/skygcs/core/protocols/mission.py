@@ -1,6 +1,6 @@
-"""The mission protocol: what its machines share (messages, results, waits), and two of them: clearing a list, and fetching
-one. The upload has a file of its own. Only messages of this vehicle that are addressed to us and of this list's type
-may be handed in to any of them.
+"""The mission protocol: what its machines share (messages, results, waits), and two of them, `MissionClear` and
+`MissionDownload`. The upload has a file of its own. Only messages of this vehicle that are addressed to us and of this
+list's type may be handed in to any of them.
 
 `MissionClear`:
 
