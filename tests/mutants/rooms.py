@@ -89,12 +89,20 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     "unattended": {
         "core/vehicle/unattended.py": ("core/vehicle/test_unattended.py", "runtime/test_unattended_holds.py"),
         "runtime/unattended_holds.py": ("runtime/test_unattended_holds.py",),
-        "runtime/flight_notes.py": ("../integration/test_restart_in_flight.py", "runtime/test_fleet.py"),
+        "runtime/flight_notes.py": (
+            "../integration/test_restart_in_flight.py",
+            "runtime/test_fleet.py",
+            "runtime/test_flight_notes.py",
+        ),
     },
     "returns": {
-        "core/monitor/departures.py": ("core/test_departures.py",),
-        "core/monitor/ways.py": ("core/test_way_conflicts.py", "core/test_departures.py"),
-        "core/monitor/order_check.py": ("core/test_monitor.py", "core/test_hold_circle.py"),
+        "core/monitor/departures.py": ("core/monitor/test_departures.py",),
+        "core/monitor/ways.py": ("core/monitor/test_ways.py", "core/monitor/test_departures.py"),
+        "core/monitor/order_check.py": (
+            "core/monitor/test_monitor.py",
+            "core/monitor/test_hold_circle.py",
+            "core/monitor/test_order_check.py",
+        ),
         "runtime/returns.py": (
             "../integration/test_returns_that_hold.py",
             "../integration/test_returns_at_once.py",

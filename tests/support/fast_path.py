@@ -26,8 +26,8 @@ from skygcs.core.mavlink.frame import Frame, frame_size
 from skygcs.core.routing.routing_table import RouteNote
 from skygcs.events import Event
 from skygcs.links import fast_path
-from skygcs.links.allow_from import Address
 from skygcs.links.base import Channel
+from skygcs.links.peers import Address
 from skygcs.links.reading import ReadingTurns, Share
 from skygcs.links.udp import UdpClientLink, UdpServerLink
 from skygcs.runtime.fleet import Fleet

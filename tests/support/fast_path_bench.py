@@ -8,7 +8,7 @@ from typing import Any
 
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.links import fast_path
-from skygcs.links.allow_from import Address
+from skygcs.links.peers import Address
 from support.fast_path import AMPLE, encoded
 from support.frames import dialect
 from support.hosts import drained

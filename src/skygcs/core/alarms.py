@@ -50,6 +50,8 @@ from typing import Any, Literal, NamedTuple
 
 from skygcs.events import Event
 
+# --- kinds ------------------------------------------------------------------------------------------------------------
+
 Severity = Literal["alarm", "warning"]
 
 EVERY = "*"

@@ -1,7 +1,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from skygcs.links.allow_from import Address
+from skygcs.links.peers import Address
 
 INTERFACE: int
 

@@ -18,7 +18,7 @@ from skygcs.links.reading import LARGEST_DATAGRAM_BYTES
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath, Out, Table
-    from skygcs.links.allow_from import Address
+    from skygcs.links.peers import Address
 
 PURE = "SKYGCS_PURE"
 """Environment variable: do not use the compiled code."""

@@ -13,8 +13,8 @@ from skygcs.config import models
 from skygcs.core.routing.peer_places import Peer
 from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError, explain_address_error
-from skygcs.links.allow_from import Address, Admission, format_address, format_host, resolve
 from skygcs.links.base import Channel, Link, LinkHost
+from skygcs.links.peers import Address, Admission, format_address, format_host, resolve
 from skygcs.links.stream import DescriptorWatcher, StreamChannel, WriteLimits
 
 CONNECT_TIMEOUT_S = 5.0

@@ -27,10 +27,10 @@ from skygcs.core.routing.garbage import GarbageGauge
 from skygcs.core.routing.peer_places import Peer
 from skygcs.errors import LinkError, explain_address_error
 from skygcs.events import Event
-from skygcs.links.allow_from import Address, Admission, format_address, format_host, resolve
 from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost
 from skygcs.links.fast_path import new_fast_path, new_out
 from skygcs.links.outgoing import Outgoing
+from skygcs.links.peers import Address, Admission, format_address, format_host, resolve
 from skygcs.links.reading import LARGEST_DATAGRAM_BYTES, Share, waiting_datagrams
 
 if TYPE_CHECKING:

@@ -155,11 +155,14 @@ class ControlState(Result):
     successor: str | None = Field(
         description="The order that takes over: until its mode is seen it is held, and no setpoint is followed."
     )
-    reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
-    error_enu_m: list[float] | None = Field(
-        description="Reference minus position along the fleet's axes; 0 for a height that follows its velocity."
+    reference: dict[str, Any] | None = Field(
+        description="pos_enu_m (null on an axis that follows a velocity), vel_enu_mps, yaw_deg in the fleet's frame."
     )
-    error_m: float | None
+    error_enu_m: list[float] | None = Field(
+        description="Reference minus position along the fleet's axes; 0 for a height that follows its velocity; null "
+        "without a reference, and where the horizontal velocity is followed."
+    )
+    error_m: float | None = Field(description="Its length.")
     state_age_s: float | None = Field(description="Age of the newest position.")
     delay_p95_s: float | None = Field(description="State age and round trip, 95th percentile: what the guard judges.")
     rtt_s: float | None = Field(description="Round trip, 95th percentile.")

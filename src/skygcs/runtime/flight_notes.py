@@ -1,16 +1,15 @@
 """Notes of what flies, and their journal on disk.
 
-Journal of what flies, for the daemon that begins after this one was killed: one small file in `log_dir`.
+`FlightNotes` has all vehicles' flights, with who flew each, and the consumption of their batteries for the next plan.
+Notes of vehicles in flight are taken back by a daemon that begins anew, or when this computer has slept.
 
-It is written beside the loop (`DiskWriter`), at changes of state and every `PERIOD_S` while a vehicle is in the air;
-while the disk is stuck only the newest content waits for it.
+`FlightJournal` keeps them for the daemon that begins after this one was killed: one small file in `log_dir`. It is
+written beside the loop (`DiskWriter`), at changes of state and every `PERIOD_S` while a vehicle is in the air; while
+the disk is stuck only the newest content waits for it.
 
 Times in it are Unix time. Beside them stand the id of this start of the computer, and how far Unix time was ahead of
 the clock of that start: a wall clock that was set meanwhile (by NTP, or by a person) makes no note of the same start
 older or newer.
-
-Notes of all vehicles' flights: kept in the journal while they fly, taken back by a daemon that begins anew or a
-computer that has slept, with who flew each; and the consumption of their batteries, for the next plan.
 """
 
 from __future__ import annotations
@@ -38,6 +37,8 @@ from skygcs.events import Event
 from skygcs.number_text import is_number
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import MAX_VEHICLES, OnEvent
+
+# --- journal ----------------------------------------------------------------------------------------------------------
 
 FORMAT = 2
 

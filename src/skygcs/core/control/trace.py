@@ -38,10 +38,10 @@ from skygcs.core.control.trace_row import (
     encode,
 )
 from skygcs.core.control.velocity_predictor import (
+    AutopilotLoop,
     PredictorMemory,
     SentVelocity,
     Timing,
-    VelocityLoop,
     predicted_setpoint,
 )
 from skygcs.errors import ConfigError, TraceError
@@ -83,7 +83,7 @@ LARGEST_TIME_S = 1e12
 class PredictionStep:
     """One step: the model, and the memory before and after it."""
 
-    loop: VelocityLoop
+    loop: AutopilotLoop
     before: PredictorMemory
     after: PredictorMemory
 
@@ -108,7 +108,7 @@ class TraceEntry:
     config: ControlConfig
     memory: Memory | None
     """Memory with which the step began; None: the one that the last step left."""
-    loop: VelocityLoop | None = None
+    loop: AutopilotLoop | None = None
     """The model of the predictor; None: none was recorded so far."""
     predictor: PredictorMemory | None = None
     """Memory of the predictor with which the step began; None: the one that the last step left."""
@@ -131,7 +131,7 @@ class TraceWriter:
         self._head: TraceHead | None = head
         self._config: ControlConfig | None = None
         self._memory: Memory | None = None
-        self._loop: VelocityLoop | None = None
+        self._loop: AutopilotLoop | None = None
         self._predictor: PredictorMemory | None = None
 
     def lines(
@@ -191,7 +191,7 @@ class Trace:
     def __iter__(self) -> Iterator[TraceEntry]:
         config: ControlConfig | None = None
         memory: Memory | None = None
-        loop: VelocityLoop | None = None
+        loop: AutopilotLoop | None = None
         predictor: PredictorMemory | None = None
         for number, line in self._numbered:
             whole = _whole(number, line)
@@ -352,14 +352,14 @@ def _vector(value: Any) -> Vector:
     return float(x), float(y), float(z)
 
 
-def _encode_loop(loop: VelocityLoop) -> dict[str, float]:
+def _encode_loop(loop: AutopilotLoop) -> dict[str, float]:
     """Encode the loop for JSON."""
     return asdict(loop)
 
 
-def _decode_loop(value: Any) -> VelocityLoop:
+def _decode_loop(value: Any) -> AutopilotLoop:
     """The inverse. Raises KeyError, TypeError or ValueError."""
-    loop = VelocityLoop(**{str(key): float(number) for key, number in value.items()})
+    loop = AutopilotLoop(**{str(key): float(number) for key, number in value.items()})
     if not (0.0 < loop.lag_xy_s < LARGEST_INPUT and 0.0 < loop.lag_z_s < LARGEST_INPUT):
         raise ValueError(f"lags of {loop.lag_xy_s:g} and {loop.lag_z_s:g} s")
     return loop

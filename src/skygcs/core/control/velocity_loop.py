@@ -24,6 +24,8 @@ from collections.abc import Sequence
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.record import record
 
+# --- velocity setpoint ------------------------------------------------------------------------------------------------
+
 
 def approach_speed(proportional: float, near: float) -> float:
     """The speed towards a position, less than the ``proportional`` one of the P loop where it could not brake from

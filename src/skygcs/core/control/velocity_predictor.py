@@ -51,6 +51,8 @@ from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.record import record
 from skygcs.core.control.velocity_loop import clip, within
 
+# --- prediction -------------------------------------------------------------------------------------------------------
+
 MAX_COMMANDS = 64
 """Setpoints kept, the oldest are dropped first: 3.2 s at `MAX_RATE_HZ`."""
 
@@ -81,7 +83,7 @@ NEW_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class VelocityLoop:
+class AutopilotLoop:
     """The autopilot's velocity loop as the model has it: a lag of first order, and what delays it further."""
 
     lag_xy_s: float
@@ -96,7 +98,7 @@ class VelocityLoop:
     """Acceleration to send for 1 m/s² of it: what a derivative gain on the measured acceleration takes off again."""
 
 
-PX4_LOOP = VelocityLoop(
+PX4_LOOP = AutopilotLoop(
     lag_xy_s=0.667,
     lag_z_s=0.25,
     attitude_lag_s=0.15,
@@ -109,7 +111,7 @@ PX4_LOOP = VelocityLoop(
 MPC_TILTMAX_AIR (45 degrees) limits the acceleration (PositionControl.cpp, v1.16.1). Attitude lag: the F450's, as
 measured for the simulator."""
 
-ARDUCOPTER_LOOP = VelocityLoop(
+ARDUCOPTER_LOOP = AutopilotLoop(
     lag_xy_s=0.5, lag_z_s=0.2, attitude_lag_s=0.15, accel_max_xy_mps2=2.5, accel_max_z_mps2=1.0, feed_forward_xy=1.0
 )
 """shape_vel_accel answers a velocity error with jerk_max/accel_max: 5/2.5 across (PSC_JERK_XY, WPNAV_ACCEL) and 5/1 up
@@ -169,7 +171,7 @@ class PredictedSetpoint:
 
 def predicted_setpoint(
     law: ControlConfig,
-    loop: VelocityLoop,
+    loop: AutopilotLoop,
     memory: PredictorMemory,
     estimate: Estimate,
     reference: Reference,
@@ -243,7 +245,7 @@ def _continued(memory: PredictorMemory, timing: Timing) -> PredictorMemory:
     )
 
 
-def _observed(loop: VelocityLoop, memory: PredictorMemory, estimate: Estimate, timing: Timing) -> PredictorMemory:
+def _observed(loop: AutopilotLoop, memory: PredictorMemory, estimate: Estimate, timing: Timing) -> PredictorMemory:
     """With the newest state, and the disturbance that the difference from the model shows."""
     received_at = timing.now - timing.state_age_s
     before_at, before = memory.received_at, memory.estimate
@@ -258,7 +260,7 @@ def _observed(loop: VelocityLoop, memory: PredictorMemory, estimate: Estimate, t
     return PredictorMemory(memory.sent, received_at, estimate, disturbance, memory.round_trip_s, memory.ticked_at)
 
 
-def _disturbance(loop: VelocityLoop, before: Vector, measured: Vector, model: Vector, dt_s: float) -> Vector:
+def _disturbance(loop: AutopilotLoop, before: Vector, measured: Vector, model: Vector, dt_s: float) -> Vector:
     weight = -math.expm1(-dt_s / DISTURBANCE_TIME_S)
     xy = loop.lag_xy_s * -math.expm1(-dt_s / loop.lag_xy_s)
     z = loop.lag_z_s * -math.expm1(-dt_s / loop.lag_z_s)
@@ -272,7 +274,7 @@ def _disturbance(loop: VelocityLoop, before: Vector, measured: Vector, model: Ve
 
 
 def _moved_on(
-    loop: VelocityLoop,
+    loop: AutopilotLoop,
     memory: PredictorMemory,
     state: Estimate,
     shift_s: float,
@@ -378,7 +380,7 @@ def delay_range(kp: float, lag_s: float, attitude_lag_s: float, assumed_s: float
 
 
 @lru_cache(maxsize=512)
-def velocity_delay_range(law: ControlConfig, loop: VelocityLoop, assumed_s: float) -> DelayRange | None:
+def velocity_delay_range(law: ControlConfig, loop: AutopilotLoop, assumed_s: float) -> DelayRange | None:
     """Range for both axes together; None if one of them is unstable."""
     found = [
         delay_range(gains.pos_p_per_s, lag_s, loop.attitude_lag_s, assumed_s)
@@ -391,7 +393,7 @@ def velocity_delay_range(law: ControlConfig, loop: VelocityLoop, assumed_s: floa
     return DelayRange(assumed_s, max(one.least_s for one in ranges), min(one.most_s for one in ranges))
 
 
-def why_not_predicted(law: ControlConfig, loop: VelocityLoop, delay_s: float, uncertainty_s: float) -> str | None:
+def why_not_predicted(law: ControlConfig, loop: AutopilotLoop, delay_s: float, uncertainty_s: float) -> str | None:
     """Why prediction must not be flown with this delay, uncertain by so much; None if it may be."""
     assumed_s = math.ceil(delay_s / STEP_S) * STEP_S
     found = velocity_delay_range(law, loop, assumed_s)

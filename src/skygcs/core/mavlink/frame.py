@@ -16,6 +16,8 @@ from typing import Any, Literal
 
 from skygcs.core.mavlink.dialect import MAX_PAYLOAD_BYTES, MessageInfo
 
+# --- header and checksum ----------------------------------------------------------------------------------------------
+
 MAGIC_V1 = 0xFE
 MAGIC_V2 = 0xFD
 HEADER_V1_BYTES = 6

@@ -18,6 +18,8 @@ from skygcs.core.geo import EARTH_RADIUS_M
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import GLOBAL, RELATIVE_ALT, MissionItem, file_number, float32, wire_int
 
+# --- items ------------------------------------------------------------------------------------------------------------
+
 Corner = tuple[float, float]
 """(lat_deg, lon_deg), rounded to the 1e-7 degrees of the wire."""
 

@@ -21,6 +21,8 @@ from skygcs.core.mission.plan import MissionPlan, PlannedHome, shifted_jumps
 from skygcs.core.mission.qgc import read_qgc, write_qgc
 from skygcs.errors import PlanFileError
 
+# --- QGC WPL ----------------------------------------------------------------------------------------------------------
+
 HEADER = "QGC WPL"
 VERSION = "110"
 COLUMNS = 12

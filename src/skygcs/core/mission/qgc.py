@@ -6,10 +6,9 @@ contain simple items only, so a converted plan has lost its polygons and cameras
 
 Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html
 
-For surveys and corridors a plan stores the waypoints; for a structure scan it stores the outline, the distance from it
-and the layers, from which the waypoints are computed. The pattern is that of QGroundControl (StructureScanComplexItem,
-file version 3): fly to the entrance, turn the camera towards the structure, fly along the outline once per layer with
-the camera triggering, turn the camera back, leave.
+A structure scan is stored as the outline, the distance from it and the layers. Its pattern is that of QGroundControl
+(StructureScanComplexItem, file version 3): fly to the entrance, turn the camera towards the structure, fly along the
+outline once per layer with the camera triggering, turn the camera back, leave.
 """
 
 from __future__ import annotations
@@ -27,6 +26,8 @@ from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon
 from skygcs.core.mission.item import MAX_ITEMS, MISSION_FRAME, RELATIVE_ALT, MissionItem, shortest
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings
 from skygcs.errors import PlanFileError
+
+# --- structure scans --------------------------------------------------------------------------------------------------
 
 Point = tuple[float, float]
 

@@ -1,13 +1,5 @@
 """Conflicts of pairs of vehicles: their level, which vehicle of a pair holds, and whether that helps. Pure.
 
-Which vehicle of a pair holds, and whether that helps.
-
-Only a hold is ever ordered: it changes no height, it is what a person would order first, and it can be taken back. The
-vehicle of lower priority holds, if that keeps the two apart; else the other one; else both. Where no hold helps (the
-other flies at one that stands still, or falls onto it) nothing is ordered.
-
-The level of each pair of vehicles: notice, warning, action.
-
     level     when (of two vehicles that fly straight on)
     -------   ---------------------------------------------------------------------------------------------------------
     notice    they come nearer than the margin and both balls within `HORIZON_S`; or only the balls of what is silent
@@ -20,6 +12,10 @@ the margin soon: gusts and the turns of a formation make some tenths of a m/s, w
 reason the first `NOISE_MPS` of a relative velocity are not believed, and two velocities that came at different times
 are compared at the same time as well. A level rises at once and falls after `CLEAR_S`, measured with a margin larger by
 a tenth.
+
+Only a hold is ever ordered: it changes no height, it is what a person would order first, and it can be taken back. The
+vehicle of lower priority holds, if that keeps the two apart; else the other one; else both. Where no hold helps (the
+other flies at one that stands still, or falls onto it) nothing is ordered.
 """
 
 from __future__ import annotations
@@ -34,6 +30,8 @@ from skygcs.core.monitor.approach import Approach, Piece, Vector, closest_approa
 from skygcs.core.monitor.tracks import Track, path_of
 from skygcs.core.separation import Margin, pair_margin, separation_m
 from skygcs.core.vehicle.vehicle import Vehicle
+
+# --- who holds --------------------------------------------------------------------------------------------------------
 
 REACT_S = 1.5
 """From the decision to the first braking: a round of a busy radio each way, and the change of mode."""

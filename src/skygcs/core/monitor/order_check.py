@@ -47,6 +47,8 @@ from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 
+# --- orders -----------------------------------------------------------------------------------------------------------
+
 GOTO_MPS = 5.0
 """PX4's MPC_XY_CRUISE; ArduCopter's WPNAV_SPEED is 5 to 10 m/s by version."""
 

@@ -29,6 +29,8 @@ from enum import StrEnum
 from functools import lru_cache
 from typing import Literal
 
+# --- generations and sorts --------------------------------------------------------------------------------------------
+
 Sort = Literal["settings", "calibration", "statistics", "identity"]
 """settings: equal on all vehicles of a type; the other sorts belong to one airframe, or to its history."""
 

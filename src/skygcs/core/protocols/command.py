@@ -1,13 +1,4 @@
-"""The protocol of commands: one command to one vehicle, and which commands may be repeated. Pure.
-
-Which commands may be repeated, over which link, is a table with the reason for each.
-
-An order goes over the chosen link. When its answer does not come, either the order or the answer was lost, and the
-sender cannot know which. A repeat is harmless where doing it twice leaves what doing it once leaves. Elsewhere it is
-sent only once the vehicle's state, newer than the last transmission, shows that it was not done, or never. Autopilots
-do not recognise a repeat: neither PX4 1.16 nor ArduPilot 4.6 looks at COMMAND_LONG.confirmation.
-
-One MAVLink command to one vehicle: sent, repeated, answered, in one outcome.
+"""One MAVLink command to one vehicle: sent, repeated, answered, in one outcome; and which may be repeated. Pure.
 
 Rule: everything that decides how a command goes on is in this file.
 
@@ -28,6 +19,12 @@ Rule: everything that decides how a command goes on is in this file.
     any          an ack of another command or for another     unchanged    -
     DONE         anything                                     DONE         -
 
+`COMMANDS` has what may be repeated, over which link, and why. An order goes over the chosen link. When its answer does
+not come, either the order or the answer was lost, and the sender cannot know which. A repeat is harmless where doing it
+twice leaves what doing it once leaves. Elsewhere it is sent only once the vehicle's state, newer than the last
+transmission, shows that it was not done, or never. Autopilots do not recognise a repeat: neither PX4 1.16 nor ArduPilot
+4.6 looks at COMMAND_LONG.confirmation.
+
 Protocol: https://mavlink.io/en/services/command.html
 """
 
@@ -41,6 +38,8 @@ from typing import Any, NamedTuple, Self
 
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Transmit
+
+# --- which may be repeated --------------------------------------------------------------------------------------------
 
 
 class Repeat(Enum):

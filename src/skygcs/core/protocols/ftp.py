@@ -39,6 +39,8 @@ from enum import Enum, IntEnum, auto
 
 from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send, SlidingWindow
 
+# --- packets ----------------------------------------------------------------------------------------------------------
+
 MESSAGE = "FILE_TRANSFER_PROTOCOL"
 
 CAPABILITY_FTP = 1 << 5

@@ -1,5 +1,8 @@
-"""Parts shared by the machines of the mission protocol: messages, results, waits; and two machines:
-clearing a list, and fetching one whole.
+"""The mission protocol: what its machines share (messages, results, waits), and two of them, `MissionClear` and
+`MissionDownload`. The upload has a file of its own. Only messages of this vehicle that are addressed to us and of this
+list's type may be handed in to any of them.
+
+`MissionClear`:
 
     state      what came                                      next         effects
     --------   --------------------------------------------   ----------   -----------------------------------------
@@ -11,12 +14,7 @@ clearing a list, and fetching one whole.
     SETTLING   timer                                          DONE         Finish: that refusal
     not DONE   stop (cancelled, vehicle lost, ...)            DONE         Finish: as given
 
-The upload has a file of its own. Of all of them only messages of this vehicle that are addressed to us and
-of this list's type may be handed in.
-
-Protocol: https://mavlink.io/en/services/mission.html
-
-The download of a list (mission, fence or rally points):
+`MissionDownload` (mission, fence or rally points):
 
     state      what came                                      next         effects
     --------   --------------------------------------------   ----------   -----------------------------------------
@@ -37,6 +35,8 @@ The download of a list (mission, fence or rally points):
     DONE       anything                                       DONE         -
 
 One request is under way at a time: a PX4 answers only the next item and the one before it.
+
+Protocol: https://mavlink.io/en/services/mission.html
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ from typing import Any, Literal
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.protocols.base import Effect, Finish, ProgressReport, ProtocolMachine, Send
 from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S
+
+# --- shared parts, clearing -------------------------------------------------------------------------------------------
 
 FIRST_WAIT_S = 1.0
 """First wait for an answer; longer than a full round of a nine-node multipoint radio at 64 kbit/s (0.75 s)."""

@@ -1,10 +1,5 @@
 """Upload of a list (mission, fence or rally points): taken whole, or the outcome names what the vehicle holds. Pure.
 
-`rejection`: PX4 checks a mission some ms after it has acknowledged the upload (1.16.1:
-MissionFeasibility/FeasibilityChecker.cpp and mission_feasibility_checker.cpp) and reports problems by events; the
-status text with the same content is not sent on every link. An event's id is a hash of its name
-(platforms/common/include/px4_platform_common/events.h).
-
 Rule: everything that decides how an upload goes on is in this file.
 
     state      what came                                      next         effects
@@ -29,6 +24,11 @@ Rule: everything that decides how an upload goes on is in this file.
 
 The vehicle leads: it asks for items, again where one is lost. The old MISSION_REQUEST is answered by MISSION_ITEM_INT,
 too, as the protocol asks. An ack that accepts before the last item was asked for belongs to something else.
+
+`rejection`: PX4 checks a mission some ms after it has acknowledged the upload (1.16.1:
+MissionFeasibility/FeasibilityChecker.cpp and mission_feasibility_checker.cpp) and reports problems by events; the
+status text with the same content is not sent on every link. An event's id is a hash of its name
+(platforms/common/include/px4_platform_common/events.h).
 """
 
 from __future__ import annotations
@@ -55,6 +55,8 @@ from skygcs.core.protocols.mission import (
     item_values,
     meaning_of,
 )
+
+# --- late rejections of a PX4 -----------------------------------------------------------------------------------------
 
 EVENT = "EVENT"
 

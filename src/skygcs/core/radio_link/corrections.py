@@ -3,12 +3,10 @@
 RTCM 10403, transport layer: 0xD3, six reserved bits (zero), ten bits of length, so many bytes, CRC-24Q of all that.
 Only the message type and the epoch of observations are read from the content.
 
-RTCM corrections that wait for one radio: the newest message of each kind, within a share of its budget.
-
-A base sends some hundred bytes to two kilobytes a second, whatever the radio carries. What does not fit is left out as
-whole messages: half a message is of no use, and neither is last second's once this second's has come. The bytes of each
-GPS_RTCM_DATA, however their sender cut them, go through one framer; its messages wait here, and are sent as fragments
-of our own.
+`Corrections` keeps for one radio the newest message of each kind, within a share of its budget. A base sends some
+hundred bytes to two kilobytes a second, whatever the radio carries. What does not fit is left out as whole messages:
+half a message is of no use, and neither is last second's once this second's has come. The bytes of each GPS_RTCM_DATA,
+however their sender cut them, go through one framer; its messages wait here, and are sent as fragments of our own.
 """
 
 from __future__ import annotations
@@ -21,6 +19,8 @@ from typing import Any, NamedTuple
 
 from skygcs.core.radio_link.transmit_queue import Waits
 from skygcs.core.token_bucket import TokenBucket
+
+# --- frames of RTCM ---------------------------------------------------------------------------------------------------
 
 PREAMBLE = 0xD3
 RESERVED_BITS = 0xFC

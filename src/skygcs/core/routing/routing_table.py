@@ -29,6 +29,8 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.filters import ChannelPolicy
 
+# --- answers of the router --------------------------------------------------------------------------------------------
+
 
 class RoutingVerdict(StrEnum):
     """The verdict on a frame. Values are the names of the counters. (A plain Enum computes its hash in Python.)"""

@@ -51,6 +51,8 @@ from typing import Literal, NamedTuple
 from skygcs.core.trajectory.piecewise import MAX_DURATION_S
 from skygcs.errors import RefusedError, TrajectoryError
 
+# --- clock ------------------------------------------------------------------------------------------------------------
+
 MAX_SPEED_FACTOR = 4.0
 """Speeds grow with it, accelerations with its square: beyond it a trajectory has a wrong time scale."""
 
@@ -352,8 +354,6 @@ STOP_ROOM = 2
 """Room beyond that for stops alone: a pause, and an abort. Only a resume, which has no room there, comes before the
 next pause."""
 
-ENDING = frozenset({ClockState.ABORTING, ClockState.ABORTED, ClockState.FINISHED})
-
 STATE_AFTER = {"pause": ClockState.PAUSING, "resume": ClockState.RUNNING, "abort": ClockState.ABORTING}
 
 
@@ -412,7 +412,7 @@ class ReplicatedClock(TrajectoryClock):
             super().pause(now)
             return
         state = self._expected(now)
-        if state is ClockState.READY or state in ENDING:
+        if state is ClockState.READY or state in _OVER:
             raise RefusedError(f"the trajectory is {state}: there is nothing to pause")
         if state in (ClockState.RUNNING, ClockState.WAITING):
             self._order(ClockOrder("pause", now + self.lead_s))
@@ -431,7 +431,7 @@ class ReplicatedClock(TrajectoryClock):
         """Stop for good, ``lead_s`` from now; without effect where it is over already."""
         if self.lead_s <= 0.0:
             super().abort(now)
-        elif self._expected(now) not in ENDING:
+        elif self._expected(now) not in _OVER:
             self._order(ClockOrder("abort", now + self.lead_s))
 
     def set_speed(self, now: float, speed_factor: float) -> None:
@@ -440,7 +440,7 @@ class ReplicatedClock(TrajectoryClock):
             super().set_speed(now, speed_factor)
             return
         state = self._expected(now)
-        if state in ENDING:
+        if state in _OVER:
             raise RefusedError(f"the trajectory is {state}: its speed cannot be changed")
         if not MIN_SPEED_FACTOR <= speed_factor <= MAX_SPEED_FACTOR:  # also for NaN
             limits = f"{MIN_SPEED_FACTOR:g} and {MAX_SPEED_FACTOR:g}"

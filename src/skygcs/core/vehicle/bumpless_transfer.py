@@ -1,10 +1,9 @@
 """Bumpless transfer: the thrust that control begins with, and the attitude in which it hands over. Pure.
 
-The thrust is that with which a vehicle stands still, from its attitude and throttle: the initial integral of the law.
-
-A vehicle that hovers in the wind leans into it; its throttle is its true hover thrust. With an integral of 0 it would
-drift with the wind, and sink or climb by the error of its hover thrust. So the mean thrust vector of the last seconds,
-less what accelerated the vehicle meanwhile, becomes the integral: entry and each return to attitude are bumpless.
+**Begin** (`SteadyThrust`). A vehicle that hovers in the wind leans into it; its throttle is its true hover thrust. With
+an integral of 0 it would drift with the wind, and sink or climb by the error of its hover thrust. So the mean thrust
+vector of the last seconds, less what accelerated the vehicle meanwhile, becomes the integral: entry and each return to
+attitude are bumpless.
 
     tilt        ATTITUDE, as it comes; nothing older than FRESH_S counts
     throttle    ATTITUDE_TARGET.thrust where it comes; ArduCopter shows it before its angle boost, which divides it by
@@ -12,13 +11,12 @@ less what accelerated the vehicle meanwhile, becomes the integral: entry and eac
                 else VFR_HUD.throttle, in whole percent and cut off by both (ArduCopter: after the boost)
                 else the hover thrust of the law: the tilt alone is used, and the vertical integral begins at 0
 
-The attitude in which an ArduCopter is handed over from attitude setpoints to its own position control.
-
-Its position controller takes the lean it finds for the one that holds it against the wind, and begins its integral with
-it (AC_PosControl::init_xy_controller, 4.6.3). With PSC_VELXY_P 2 and PSC_VELXY_I 1 a wrong lean of a decays as
-dv = a t exp(-t): a vehicle that leans into a step by 2 m/s² gets 0.7 m/s faster and 2 m farther before it begins to
-stop, one at 35 degrees 2.5 m/s and 7 m. So for HANDOVER_S it is given the lean that its law had found against the wind,
-and against its motion what brakes it: the integral then begins with braking.
+**End** (`handover_attitude`). The position controller of an ArduCopter that gets control back takes the lean it finds
+for the one that holds it against the wind, and begins its integral with it (AC_PosControl::init_xy_controller, 4.6.3).
+With PSC_VELXY_P 2 and PSC_VELXY_I 1 a wrong lean of a decays as dv = a t exp(-t): a vehicle that leans into a step by 2
+m/s² gets 0.7 m/s faster and 2 m farther before it begins to stop, one at 35 degrees 2.5 m/s and 7 m. So for HANDOVER_S
+it is given the lean that its law had found against the wind, and against its motion what brakes it: the integral then
+begins with braking.
 
 Nothing is closed over the link meanwhile: the attitude is worked out once. If nothing reaches the vehicle after it, it
 keeps that lean for GUID_TIMEOUT and levels; the lean brakes to a standstill in that time at most.
@@ -36,6 +34,8 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.offboard_entry import boosts_thrust
 from skygcs.core.vehicle.setpoint import LEAST_BOOST_COSINE
 from skygcs.core.vehicle.vehicle import Vehicle
+
+# --- steady thrust ----------------------------------------------------------------------------------------------------
 
 WINDOW_S = 2.0
 """Over which the thrust is averaged: some swings of an autopilot's own position loop, little of a changing wind."""

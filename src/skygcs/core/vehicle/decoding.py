@@ -19,6 +19,8 @@ from typing import Any
 from skygcs.core.geo import euler_from_quaternion, is_no_place, quaternion_from_euler, wrap_deg_180
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 
+# --- firmware versions ------------------------------------------------------------------------------------------------
+
 _STAGES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
 """FIRMWARE_VERSION_TYPE, lowest value of each."""
 

@@ -34,6 +34,8 @@ from skygcs.core.mavlink.modes import Family
 from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.errors import RefusedError
 
+# --- type masks -------------------------------------------------------------------------------------------------------
+
 Axes = tuple[bool, bool, bool]
 
 ALL: Axes = (True, True, True)

@@ -29,7 +29,13 @@ from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.record import record
 from skygcs.core.control.trace import PredictionStep, TraceRow
 from skygcs.core.control.velocity_loop import clip
-from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Timing, VelocityLoop, predicted_setpoint
+from skygcs.core.control.velocity_predictor import (
+    PX4_LOOP,
+    AutopilotLoop,
+    PredictorMemory,
+    Timing,
+    predicted_setpoint,
+)
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
@@ -63,7 +69,7 @@ class TickInput:
     reference: Reference
     following: bool
     """True if the autopilot obeys: the integrators run only then."""
-    loop: VelocityLoop | None = None
+    loop: AutopilotLoop | None = None
     """Velocity control predicts the state with this model; None: without prediction."""
     round_trip_s: float = 0.0
     """To predict over."""

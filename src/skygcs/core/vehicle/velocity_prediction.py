@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP, VelocityLoop, why_not_predicted
+from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP, AutopilotLoop, why_not_predicted
 from skygcs.core.vehicle.estimate_view import JUDGE_S, EstimateView
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -53,7 +53,7 @@ class VelocityPrediction:
         self.refused = self._refusal(law, period_s)
         self.round_trip_s = measured_s if self.refused is None else None
 
-    def loop(self) -> VelocityLoop:
+    def loop(self) -> AutopilotLoop:
         """The model of this vehicle's velocity loop."""
         return PX4_LOOP if self._vehicle.family == "px4" else ARDUCOPTER_LOOP
 

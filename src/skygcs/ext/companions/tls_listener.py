@@ -29,7 +29,7 @@ from skygcs.descriptors import is_of_the_last
 from skygcs.errors import LinkError, SkygcsError, explain_address_error
 from skygcs.events import Event
 from skygcs.ext.companions.tls import HANDSHAKE_S, PIN_LOOK_S, SHUTDOWN_S, Identity, PinnedTls
-from skygcs.links.allow_from import format_address, resolve
+from skygcs.links.peers import format_address, resolve
 
 if TYPE_CHECKING:
     from skygcs.rpc.context import NewSession

@@ -1,5 +1,5 @@
-"""Internet addresses, names to socket addresses and back, and admission of peers to a server, for UDP and TCP: by the
-networks of `allow_from`, and by the number of peers.
+"""Peers of UDP and TCP links: their addresses (names to socket addresses and back), and their admission to a server, by
+the networks of `allow_from` and by the number of peers.
 
 Reports are bounded: a few addresses that are not allowed, and each change between full and not full.
 """
@@ -16,6 +16,8 @@ from skygcs.core.routing.peer_places import Peer, PeerPlaces
 from skygcs.errors import LinkError
 from skygcs.events import Event
 from skygcs.links.base import Link
+
+# --- addresses --------------------------------------------------------------------------------------------------------
 
 Address = tuple[Any, ...]
 """Address in the form of the socket module: (host, port) for IPv4, (host, port, flow, scope) for IPv6."""

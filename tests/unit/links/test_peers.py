@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skygcs.config import models
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.routing.peer_places import PEER_SILENT_S
-from skygcs.links.allow_from import MAX_REMEMBERED, MAX_REPORTED, AllowedNetworks
+from skygcs.links.peers import MAX_REMEMBERED, MAX_REPORTED, AllowedNetworks
 from skygcs.links.tcp import TcpServerLink
 from skygcs.links.udp import UdpServerLink
 from support.hosts import RecordingHost, common_dialect, heartbeat, until

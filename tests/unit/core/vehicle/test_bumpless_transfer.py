@@ -1,4 +1,4 @@
-"""The integral that attitude control begins with: from tilt and throttle, bounded, and from fresh messages only."""
+"""Both ends of control by attitude: the integral it begins with, and the lean in which an ArduCopter is handed over."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.control.cascade import Estimate, Memory, Vector
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.vehicle.bumpless_transfer import FRESH_S, THROTTLE_FRESH_S, SteadyThrust
+from skygcs.core.vehicle.bumpless_transfer import (
+    BRAKING_MPS2,
+    FRESH_S,
+    THROTTLE_FRESH_S,
+    SteadyThrust,
+    handover_attitude,
+)
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each
@@ -156,3 +162,47 @@ def test_whatever_is_heard_stays_within_the_laws_limits(
         here.lean(roll, pitch, yaw, (speed, 0.0, -speed))
         east, north, up = here.integral()
         assert math.hypot(east, north) <= LAW.integral_xy_max + 1e-9 and abs(up) <= LAW.thrust_max
+
+
+# --- handover attitude ------------------------------------------------------------------------------------------------
+
+
+def acceleration(attitude_ned_frd: tuple[float, float, float, float], thrust: float) -> tuple[float, float, float]:
+    """East, north, up, of the thrust along the body's axis and gravity."""
+    w, x, y, z = attitude_ned_frd
+    north, east, down = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+    push = GRAVITY_MPS2 * thrust / LAW.hover_thrust
+    return -east * push, -north * push, down * push - GRAVITY_MPS2
+
+
+@each("yaw_rad", [0.0, 1.0, -2.5])
+def test_a_fast_one_is_braked_with_what_the_autopilot_brakes_with(yaw_rad: float) -> None:
+    east, north, up = acceleration(*handover_attitude(LAW, (0.0, 0.0, 0.0), (3.0, -4.0, 2.0), yaw_rad, 1.0))
+    assert (east, north, up) == pytest.approx((-0.6 * BRAKING_MPS2, 0.8 * BRAKING_MPS2, 0.0), abs=1e-9)
+
+
+def test_a_slow_one_only_to_a_standstill_by_the_time_it_levels() -> None:
+    east, north, _ = acceleration(*handover_attitude(LAW, (0.0, 0.0, 0.0), (0.6, 0.0, 0.0), 0.4, 1.0))
+    assert (east, north) == pytest.approx((-0.6, 0.0), abs=1e-9)
+    east, _, _ = acceleration(*handover_attitude(LAW, (0.0, 0.0, 0.0), (0.6, 0.0, 0.0), 0.4, 3.0))
+    assert east == pytest.approx(-0.2)
+
+
+def test_one_that_stands_keeps_the_lean_against_the_wind_and_its_true_hover_thrust() -> None:
+    weight = LAW.hover_thrust / GRAVITY_MPS2
+    found = handover_attitude(LAW, (1.2 * weight, -0.5 * weight, 0.3 * weight), (0.0, 0.0, 0.0), 0.0, 1.0)
+    assert acceleration(*found) == pytest.approx((1.2, -0.5, 0.3))
+
+
+finite = st.floats(-100.0, 100.0)
+
+
+@given(st.tuples(finite, finite, finite), st.tuples(finite, finite, finite), finite, st.floats(0.0, 60.0))
+def test_it_is_within_the_law_s_limits_whatever_comes(
+    integral: tuple[float, float, float], vel: tuple[float, float, float], yaw: float, timeout_s: float
+) -> None:
+    attitude, thrust = handover_attitude(LAW, integral, vel, yaw, timeout_s)
+    assert math.isclose(sum(part * part for part in attitude), 1.0, abs_tol=1e-9)
+    assert 0.0 < thrust <= LAW.thrust_max
+    _, x, y, _ = attitude
+    assert math.acos(max(-1.0, 1 - 2 * (x * x + y * y))) <= LAW.tilt_max_rad + 1e-9
