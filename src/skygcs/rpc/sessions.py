@@ -567,6 +567,7 @@ class Sessions:
             self._dismiss(session, "connections_refused", "no descriptors are left for clients of other computers")
         elif self._has_place_for(session):
             self._placed[session] = None
+            self._look_for_free()
         else:
             self._let_in_beyond(session)
 
@@ -584,10 +585,7 @@ class Sessions:
         """The session has ended. Idempotent."""
         for group in (self._placed, self._reserve, self._unauthenticated):
             group.pop(session, None)
-        if self._full_at is not None and len(self._placed) < AMPLE_SHARE * self._full_at:
-            self._full_at = None
-            text = "clients: sessions are free again"
-            self.services.event_log.publish(Event("warning", None, None, text, {"change": "not_full"}))
+        self._look_for_free()
 
     def close_in_time(self, transport: asyncio.Transport) -> None:
         """Close it once what was written is read, or after LINGER_S."""
@@ -608,6 +606,15 @@ class Sessions:
         if len(self._placed) >= MAX_SESSIONS:
             return f"all {MAX_SESSIONS} places are taken"
         return f"the process has no more file descriptors for clients (ulimit -n), with {len(self._placed)} connected"
+
+    def _look_for_free(self) -> None:
+        """Report once that there are places again: several clients have left, or more have one than when there were
+        none, as descriptors had run out. One fewer is none: it may have been closed for a newer one."""
+        full_at, placed = self._full_at, len(self._placed)
+        if full_at is not None and not AMPLE_SHARE * full_at - 1 <= placed <= full_at:
+            self._full_at = None
+            text = "clients: sessions are free again"
+            self.services.event_log.publish(Event("warning", None, None, text, {"change": "not_full"}))
 
     def _has_place_for(self, session: Session) -> bool:
         """True if it may stay beside the others, of whom the one that was idle for longest may be closed for it."""

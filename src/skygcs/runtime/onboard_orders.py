@@ -28,9 +28,9 @@ async def upload_plan(
     actor: VehicleActor, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False
 ) -> Outcome:
     """See `Missions.bring`. Not the fence or the rally points while a flight stands on the present ones."""
+    await actor.services.one_a_turn.wait()  # before it is asked what may be changed: a flight may begin meanwhile
     if (why := _list_refusal(actor, kinds)) is not None:
         return actor.refuse("plan upload", why)
-    await actor.services.one_a_turn.wait()
     work = actor.missions.bring(plan, kinds, limit_m=actor.config.goto_limit_m, force=force)
     return await actor.outcomes.track("plan upload", work)
 

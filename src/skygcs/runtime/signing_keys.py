@@ -81,11 +81,12 @@ def _kept(table: Any) -> Kept:
 
 
 class SigningStore:
-    """One file per key, named by its id and without the key. ``problem``: why the last access failed, or empty."""
+    """One file per key, named by its id and without the key. ``problems``: why the last access
+    failed, by the id of the key; those of which it did not are missing."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self.problem = "" if folder is not None else "there is no folder for the clocks of the keys"
+        self.problems = {} if folder is not None else {"": "there is no folder for the clocks of the keys"}
 
     def load(self, key_id: str) -> Kept:
         """The saved clock of a key; zeros without a file."""
@@ -97,7 +98,7 @@ class SigningStore:
         except FileNotFoundError:
             return Kept(0, 0)
         except (OSError, ValueError) as error:
-            self.problem = f"{path} cannot be read ({error})"
+            self.problems[key_id] = f"{path} cannot be read ({error})"
             return Kept(0, 0)
 
     def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool) -> None:
@@ -110,9 +111,9 @@ class SigningStore:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             write_whole(path, content.encode(), 0o600)
         except OSError as error:
-            self.problem = f"{path} cannot be written ({error.strerror})"
+            self.problems[key_id] = f"{path} cannot be written ({error.strerror})"
         else:
-            self.problem = ""
+            self.problems.pop(key_id, None)
 
     def _path(self, key_id: str) -> Path:
         assert self._folder is not None
@@ -250,7 +251,7 @@ class Signing:
         self._links: dict[str, LinkSigning] = {}
         self._streams: dict[tuple[bytes, str | None], SignatureStreams] = {}
         self._watchers: list[OnRefused] = []
-        self._store_failed = ""
+        self._store_failed = set[str]()
 
     # -- links
 
@@ -471,7 +472,7 @@ class Signing:
         try:
             await self.disk.run("a clock of signing", job, within_s=CLOSE_S)
         except OSError as error:
-            self._store.problem = f"the clock of key {key.id} cannot be written ({error.strerror})"
+            self._store.problems[key.id] = f"the clock of key {key.id} cannot be written ({error.strerror})"
 
     def _report_pinned(self, key: _Key) -> None:
         """A clock that has come too far ahead is reported once: at the start, or since this computer's was set back."""
@@ -482,14 +483,15 @@ class Signing:
 
     def _report_store(self) -> None:
         """A clock that cannot be read or saved is reported once per reason, and once when it is saved again."""
-        problem = self._store.problem
-        if problem == self._store_failed:
-            return
-        text = f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
-        if not problem:
-            text = "the clocks of the keys are saved again"
-        self._store_failed = problem
-        self._on_event(Event("warning", None, None, f"signing: {text}", {}))
+        before, self._store_failed = self._store_failed, set(tuple(self._store.problems.values()))  # others write it
+        texts = [
+            f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
+            for problem in sorted(self._store_failed - before)
+        ]
+        if before and not self._store_failed:
+            texts = ["the clocks of the keys are saved again"]
+        for text in texts:
+            self._on_event(Event("warning", None, None, f"signing: {text}", {}))
 
 
 def _duration(seconds: float) -> str:

@@ -184,6 +184,8 @@ class Outputs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for number in self._handlers:  # a terminal's end sends one more: it must not end this half done
+            signal.signal(number, signal.SIG_IGN)
         problem: SkygcsError | None = None
         for path, file in self._open.items():
             try:

@@ -244,6 +244,18 @@ async def test_with_the_last_descriptors_nobody_stays_although_places_are_free(
     assert "ulimit -n" in reported["text"] and "1 by process" in reported["text"]
 
 
+async def test_it_is_reported_that_descriptors_ran_out_while_no_client_had_a_place_and_that_there_are_more(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None is never fewer than a share of none: the report stood for good, and kept away each later one."""
+    with monkeypatch.context() as short:
+        short.setattr(sessions, "is_of_the_last", lambda descriptor: True)
+        for _ in range(3):
+            await (await bench.connect()).call("commands.list")
+    await (await bench.connect()).call("daemon.info")
+    assert [e["data"]["change"] for e in warnings(bench)] == ["full", "not_full"]
+
+
 async def emergency(bench: Bench) -> dict[str, Any]:
     async with connect(bench.server.socket_path) as gcs:
         return {"result": await gcs.call("vehicles.stop", targets="alpha", action="hold")}

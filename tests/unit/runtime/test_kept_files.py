@@ -48,7 +48,7 @@ def undo(folder: Path) -> str:
 def signing(folder: Path) -> str:
     store = SigningStore(folder)
     assert store.load("ab") == (0, 0)
-    return store.problem
+    return store.problems["ab"]
 
 
 def parameters(folder: Path) -> str:

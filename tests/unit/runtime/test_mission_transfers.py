@@ -129,6 +129,17 @@ def all_set(item: MissionItem) -> MissionItem:
     return replace(item, params=(p1, p2, p3, p4))
 
 
+async def test_a_flight_that_begins_while_an_upload_waits_for_its_turn_keeps_its_fence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with Site() as (_, storing, actor):
+        asked = [asyncio.ensure_future(onboard_orders.upload_plan(actor, plan=PLAN, kinds=(FENCE,))) for _ in range(3)]
+        await asyncio.sleep(0)
+        monkeypatch.setattr(actor.services.locks, "refusal", lambda change: "a flight stands on it")
+        assert [(await one).message for one in asked] == ["refused: a flight stands on it"] * 3
+        assert not storing.lists[1].items
+
+
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
 async def test_a_plan_goes_up_and_comes_down_unchanged(autopilot: int) -> None:
     async with Site(autopilot) as (ground, storing, actor):

@@ -27,7 +27,7 @@ def test_an_exact_time_comes_back_as_it_was(tmp_path: Path) -> None:
     assert store.load("ab").timestamp == NOW
     assert store.load("cd").timestamp == 0
     assert (tmp_path / "new").stat().st_mode & 0o077 == 0
-    assert store.problem == ""
+    assert not store.problems
 
 
 def test_after_a_crash_the_time_is_beyond_what_may_have_been_used(tmp_path: Path) -> None:
@@ -43,9 +43,9 @@ def test_a_broken_file_is_told_and_is_no_time(tmp_path: Path, content: str) -> N
     (tmp_path / "ab.json").write_text(content)
     store = SigningStore(tmp_path)
     assert store.load("ab").timestamp == 0
-    assert "ab.json cannot be read" in store.problem
+    assert "ab.json cannot be read" in store.problems["ab"]
     store.save("ab", NOW, wall=NOW, exact=True)
-    assert (store.load("ab").timestamp, store.problem) == (NOW, "")
+    assert (store.load("ab").timestamp, store.problems) == (NOW, {})
 
 
 def test_a_save_that_fails_leaves_the_old_time_and_nothing_else(
@@ -59,7 +59,7 @@ def test_a_save_that_fails_leaves_the_old_time_and_nothing_else(
 
     monkeypatch.setattr(os, "fsync", full)
     store.save("ab", NOW + 5, wall=NOW, exact=True)
-    assert "ab.json cannot be written (No space left on device)" in store.problem
+    assert "ab.json cannot be written (No space left on device)" in store.problems["ab"]
     assert [p.name for p in tmp_path.iterdir()] == ["ab.json"]
     assert store.load("ab").timestamp == NOW
 
@@ -68,7 +68,7 @@ def test_without_a_folder_nothing_is_kept_and_that_is_told() -> None:
     store = SigningStore(None)
     store.save("ab", NOW, wall=NOW, exact=True)
     assert store.load("ab").timestamp == 0
-    assert "no folder" in store.problem
+    assert "no folder" in store.problems[""]
 
 
 def test_the_folder_is_that_of_the_desktop_standard(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_file_that_is_no_state_is_told_and_not_believed(tmp_path: Path, text: 
     (tmp_path / "ab.json").write_text(text)
     store = SigningStore(tmp_path)
     assert store.load("ab") == (0, 0)
-    assert "cannot be read" in store.problem
+    assert "cannot be read" in store.problems["ab"]
 
 
 def test_times_beyond_the_range_are_brought_into_it(tmp_path: Path) -> None:
@@ -125,6 +125,32 @@ async def test_a_clock_that_cannot_be_read_is_reported_before_it_is_replaced(tmp
     await ended(task)
     assert ["cannot be read" in event.text for event in events] == [True, False]
     assert events[1].text.endswith("saved again")
+
+
+@pytest.mark.looptime
+async def test_what_a_full_disk_does_to_several_keys_is_reported_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each key's reason took the other's place: two lines for every ten seconds of a full disk."""
+    events, wall = list[Event](), [1.8e9]
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    signing = Signing(load_dialect("all"), events.append, SigningStore(tmp_path), lambda: wall[0])
+    signing.disk = inline_disk(asyncio.get_running_loop())
+    keys = [signing.key_of(bytes([n]) * 32) for n in range(3)]
+    task = asyncio.create_task(signing.run())
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", full)
+        for _ in range(100):
+            await asyncio.sleep(11.0)
+            wall[0] += 11.0
+            for key in keys:
+                key.clock.stamp(signing._wall())
+    assert len(events) == len({event.text for event in events}) == 3
+    await ended(task)
+    assert [event.text for event in events[3:]] == ["signing: the clocks of the keys are saved again"]
 
 
 @pytest.mark.looptime

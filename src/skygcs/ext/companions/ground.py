@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.tables import Problem
+from skygcs.errors import LinkError
 from skygcs.ext.companions import methods
 from skygcs.ext.companions.companion_control import CompanionCalls, CompanionControl
 from skygcs.ext.companions.companion_link import CompanionClient, Dial
@@ -15,7 +16,7 @@ from skygcs.ext.companions.companion_links import CompanionLinks
 from skygcs.ext.companions.companions_table import CompanionsConfig, companions_problems, servers_of
 from skygcs.ext.companions.ground_finder import GroundAnnouncement
 from skygcs.ext.companions.pinned_client import connect_pinned
-from skygcs.ext.companions.tls import PIN_LOOK_S, Identity
+from skygcs.ext.companions.tls import PIN_LOOK_S, Identity, read_certificate
 from skygcs.extension import Clock, Extension, StateGroup, repeated
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -38,8 +39,8 @@ class Companions(Extension[CompanionsConfig]):
         super().__init__(core, config)
         publish = core.event_log.publish
         sleep = core.fleet.sleep
-        self._read_at: dict[str, object] = {}
-        """`Identity.changed` when the files of a companion's connection were read, by companion."""
+        self._pins: dict[str, tuple[object, bytes | None]] = {}
+        """By companion: `Identity.changed` at the last look, and what was pinned when the connection was begun."""
         self.links = CompanionLinks(config, self._dial_to, asyncio.get_running_loop(), publish, sleep.check)
         self.by_vehicle: dict[str, CompanionCalls] = {**self.links.by_vehicle()}
         """The connections, by the vehicle that the companion is on."""
@@ -108,14 +109,28 @@ class Companions(Extension[CompanionsConfig]):
         identity = Identity.of_ground(self.config.key_dir, companion)
 
         async def dial() -> CompanionClient:
-            self._read_at[companion] = identity.changed()
+            self._pins[companion] = identity.changed(), _pin_of(identity)
             return await connect_pinned(host, port, identity)
 
         return dial
 
     def _look_at_pins(self) -> None:
-        """Connect anew where a file has changed since: a companion whose certificate was removed gets nothing more."""
-        for name, read_at in self._read_at.items():
-            link = self.links.get(name)
-            if link is not None and Identity.of_ground(self.config.key_dir, name).changed() != read_at:
-                link.woke("a certificate was replaced or removed")
+        """Connect anew where the pinned certificate is another one, or none: a companion whose certificate was removed
+        gets nothing more. Nothing else ends a connection in flight: neither the same certificate written again, nor a
+        new identity of ours, which the companion may not have pinned yet."""
+        for name, (seen, pin) in self._pins.items():
+            identity, link = Identity.of_ground(self.config.key_dir, name), self.links.get(name)
+            if link is None or (changed := identity.changed()) == seen:
+                continue
+            if _pin_of(identity) == pin:
+                self._pins[name] = changed, pin
+            else:
+                link.woke("the pinned certificate was replaced or removed")
+
+
+def _pin_of(identity: Identity) -> bytes | None:
+    """The pinned certificate; None if it cannot be read."""
+    try:
+        return read_certificate(identity.pinned)
+    except LinkError:
+        return None

@@ -175,7 +175,7 @@ class TlsListener:
                 sock.close()
                 await asyncio.sleep(0)  # others get their turn between two of a flood
                 continue
-            task = loop.create_task(self._handshake(sock, new_session), name="tls handshake")
+            task = loop.create_task(self._handshake(sock, host, new_session), name="tls handshake")
             self._handshakes.add(task)
 
             def over(task: asyncio.Task[None], host: str = host) -> None:
@@ -184,7 +184,7 @@ class TlsListener:
 
             task.add_done_callback(over)
 
-    async def _handshake(self, sock: socket.socket, new_session: NewSession) -> None:
+    async def _handshake(self, sock: socket.socket, host: str, new_session: NewSession) -> None:
         """From connection to session. Never raises."""
         try:
             tls = self._refresh()
@@ -192,7 +192,7 @@ class TlsListener:
             with contextlib.suppress(OSError):
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, USER_TIMEOUT_MS)
             await asyncio.get_running_loop().connect_accepted_socket(
-                lambda: new_session(lambda transport: self._admits(tls, transport)),
+                lambda: new_session(lambda transport: self._admits(tls, host, transport)),
                 sock,
                 ssl=tls.context,
                 ssl_handshake_timeout=HANDSHAKE_S,
@@ -210,11 +210,11 @@ class TlsListener:
             self.counters["handshakes_failed"] += 1
             _log.debug("tls handshake failed", reason=str(error))
 
-    def _admits(self, tls: PinnedTls, transport: Any) -> bool:
+    def _admits(self, tls: PinnedTls, host: str, transport: Any) -> bool:
         """The last word after a handshake."""
         if tls.is_pinned(transport):
             self.counters["accepted"] += 1
-            self._limits.known = str(transport.get_extra_info("peername", ("",))[0])
+            self._limits.known = host
             self._open = [other for other in self._open if not other.is_closing()]
             self._open.append(transport)
             self._report(None)

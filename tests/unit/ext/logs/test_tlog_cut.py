@@ -259,12 +259,16 @@ def test_help_names_every_tool() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_that_ends_the_program_leaves_nothing_half_written(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_that_ends_the_program_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
     """A closed terminal left a part of gigabytes."""
     before = signal.signal(number, signal.SIG_DFL)
     try:
         with pytest.raises(SystemExit) as ended, Outputs(force=False) as outputs:
             outputs.open_bytes(tmp_path / "out.tlog").write(b"half")
+            close = (file := outputs.open_bytes(tmp_path / "other.tlog")).close
+            monkeypatch.setattr(file, "close", lambda: (close(), signal.raise_signal(number)))  # one more at its end
             if signal.getsignal(number) is not signal.SIG_DFL:  # else it would end the tests
                 signal.raise_signal(number)
         assert ended.value.code == 128 + number and list(tmp_path.iterdir()) == []
