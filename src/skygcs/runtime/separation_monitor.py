@@ -502,7 +502,8 @@ class SeparationMonitor:
         if known.mode is None:
             return known.place
         led = actor.offboard.flying and (actor.offboard.controller.streaming or actor.offboard.controller.flight)
-        if led or actor.runner.ledger.effective > known.order_number or actor.vehicle.mode != known.mode:
+        idle = not actor.vehicle.armed  # its take-off failed, or it is down
+        if led or idle or actor.runner.ledger.effective > known.order_number or actor.vehicle.mode != known.mode:
             del self._destinations[key]
             return None
         return known.place
