@@ -106,8 +106,13 @@ def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
 
 
 def are_apart(a: tuple[Vector, Vector], b: tuple[Vector, Vector], need: Vector) -> bool:
-    """True if two straight lines are farther apart than ``need`` along one axis: most of a fleet, without their ways."""
-    return any(max(p) + m < min(q) or max(q) + m < min(p) for p, q, m in zip(zip(*a), zip(*b), need, strict=True))
+    """True if two straight lines are farther apart than ``need`` along one axis: most of a fleet. False if a number is
+    none."""
+    for axis, need_m in enumerate(need):
+        p, q = (a[0][axis], a[1][axis]), (b[0][axis], b[1][axis])
+        if all(x + need_m < y for x in p for y in q) or all(y + need_m < x for x in p for y in q):
+            return True
+    return False
 
 
 def needed_m(a: Way, b: Way) -> float:
