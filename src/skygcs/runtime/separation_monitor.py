@@ -412,11 +412,16 @@ class SeparationMonitor:
         ball_m = self._ball_m(track) + holds.radius_m
         return Way(track.key, track.name, self.footprint(actor), sloped(points), ball_m, doing)
 
+    def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
+        """The home of one that comes home or down, by whatever order or failsafe; None: it does not, or not so that its
+        way is known."""
+        comes = actor.vehicle.mode in COMING_HOME and not track.parked and not track.circle_m
+        return actor.vehicle.telemetry("home") if comes else None
+
     def _way_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way | None:
-        """The way of one that comes home or down, by whatever order or failsafe; None: it does not, or that is not
-        known. A return height that was not read is taken to be the height that it is at."""
-        vehicle, home = actor.vehicle, actor.vehicle.telemetry("home")
-        if vehicle.mode not in COMING_HOME or home is None or track.parked or track.circle_m:
+        """The way of `_comes_home`. A return height that was not read is taken to be the height that it is at."""
+        vehicle, home = actor.vehicle, self._comes_home(actor, track)
+        if home is None:
             return None
         one = Returning(
             track.key,
@@ -441,16 +446,19 @@ class SeparationMonitor:
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
-            if (way := self._way_home(actor, track, frame)) is not None:
-                yield way
-            elif (place := self._destination(key)) is not None:
-                margin = pair_margin(mover.footprint, track.footprint)
-                ball_m = self._ball_m(track)
-                need_m = margin.total_m + ball_m
-                need = need_m, need_m, need_m * margin.downwash_ratio
-                if not are_apart(line, (frame.from_ecef(track.ecef_m), frame.from_geodetic(*place)), need):
-                    way = self._present_way(actor, track, frame, ahead=False)
-                    yield replace(way, ball_m=ball_m)  # its circle is compared at its end
+            comes, place = self._comes_home(actor, track), self._destination(key)
+            if comes is not None:
+                place = comes["lat_deg"], comes["lon_deg"], comes["alt_amsl_m"]
+            if place is None:
+                continue
+            margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
+            need_m = margin.total_m + ball_m
+            need = need_m, need_m, need_m * margin.downwash_ratio if comes is None else math.inf  # it may climb first
+            if are_apart(line, (frame.from_ecef(track.ecef_m), frame.from_geodetic(*place)), need):
+                continue
+            if (way := self._way_home(actor, track, frame)) is None:
+                way = replace(self._present_way(actor, track, frame, ahead=False), ball_m=ball_m)
+            yield way  # without its circle, which is compared at its end
 
     def _ball_m(self, track: Track) -> float:
         """How far it may be from where it was seen last."""
