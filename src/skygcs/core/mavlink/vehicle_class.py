@@ -110,7 +110,7 @@ _TYPES: dict[int, VehicleClass] = {
 
 
 def program_of_banner(name: str) -> Program | None:
-    """The program that names itself so in its banner (`firmware.banner_program`); None: not one of ArduPilot's."""
+    """The program that names itself so in its banner (`decoding.banner_program`); None: not one of ArduPilot's."""
     return _BANNER_NAMES.get(name)
 
 
