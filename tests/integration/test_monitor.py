@@ -91,6 +91,30 @@ async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(t
             await gcs.done("vehicles.goto", targets="v1", enu_m=[-8.0, 0.0, 9.0])
 
 
+@pytest.mark.parametrize("ends", ["by a hold", "disarmed"])
+async def test_a_take_off_that_is_over_is_in_nobodys_way(tmp_path: Path, ends: str) -> None:
+    """Its way up counted as long as another of the same order went on, and for good if it never left the ground."""
+    async with aloft(tmp_path, px4=0, ardupilot=3, conditions=EXACT) as gcs:
+        await gcs.done("vehicles.goto", targets="v3", enu_m=[0.0, 8.0, 16.0])
+        await gcs.done("vehicles.land", targets="v1,v2")
+        await gcs.until(lambda: not (gcs.sim("v1").armed or gcs.sim("v2").armed), 90.0)
+        await asyncio.sleep(3.0)
+        both = asyncio.create_task(gcs("vehicles.takeoff", targets="v1,v2", height_m=30.0))
+        if ends == "disarmed":
+            await both
+            gcs.sim("v1").disarm()
+            gcs.sim("v1").motion.up_m = 0.0
+            await asyncio.sleep(3.0)
+        else:
+            await asyncio.sleep(0.0)
+            gcs.muted.add(2)
+            await gcs.until(lambda: gcs.place("v1")[2] > 0.5, 6.0)
+            await gcs.done("vehicles.hold", targets="v1")
+            assert not both.done() and gcs.place("v1")[2] < 5.0
+        await gcs.done("vehicles.goto", targets="v3", enu_m=[0.0, 0.0, 16.0])
+        await both
+
+
 async def test_a_formation_that_moves_into_its_own_places_is_not_refused(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=3, conditions=EXACT) as gcs:
         before = [gcs.actor(f"v{i}").vehicle.enu_m() for i in (1, 2, 3)]

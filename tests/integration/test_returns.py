@@ -189,6 +189,20 @@ async def test_one_alone_is_given_up_above_another_and_returns_when_it_is_ordere
         assert outcome["message"] == "returning to launch" and gcs.sim("v1").mode in GOING_HOME, "insisted on"
 
 
+async def test_one_that_waits_is_insisted_on_by_orders_that_come_again_and_again(tmp_path: Path) -> None:
+    """Each began the time of a double click anew, so a script that ordered it every half second never sent it home."""
+    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 20.0, 10.0], force=True)
+        await asyncio.sleep(12.0)
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[0.0, 0.0, 6.0], force=True)  # above the home of v1
+        await asyncio.sleep(12.0)
+        since, told = gcs.now, list[str]()
+        while gcs.now - since < 1.2 * returns.SAME_S:
+            told.append((await gcs("vehicles.rtl", targets="v1"))["outcomes"]["v1"]["message"])
+            await asyncio.sleep(returns.SAME_S / 3)
+        assert told[-1] == "returning to launch" and told[0] != told[-1], told
+
+
 async def test_one_alone_is_sent_home_at_once_if_nothing_is_seen_in_its_way(tmp_path: Path) -> None:
     """At 10 m/s it was held for one parked beside its home, and given up a second later: its way counted as wide as it
     needs to stop."""

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.runtime import returns
+from skygcs.runtime.returns import SAME_S
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.firmware_modes import CopterMode
 from support.flown import Flown, aloft
@@ -131,7 +131,7 @@ async def test_one_that_was_ordered_home_before_and_is_lost_keeps_nobody_in_the_
         since = gcs.now
         for _ in range(2):  # v2 is in its way: it waits for that only once
             await gcs("vehicles.rtl", targets="v1")
-            await asyncio.sleep(returns.SAME_S)
+            await asyncio.sleep(SAME_S)
         assert sent_home(gcs, "v1", since)
         gcs.muted.add(1)
         await gcs.until(lambda: any(t.kind == "vehicle_lost" and t.vehicle == "v1" for t in gcs.told), 10.0)

@@ -4,6 +4,7 @@ outcomes by name."""
 from __future__ import annotations
 
 import asyncio
+import functools
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -305,11 +306,6 @@ class FleetOrders:
         # what each vehicle is to do: places of its own, or why it stays
         going = [actor for actor in vehicles if order is VehicleActor.goto and actor not in refusals]
         own_arguments, staying, sent = self._going(going, arguments) if going else ({}, {}, {})
-        for actor in vehicles if order is VehicleActor.takeoff else ():
-            height_m = arguments.get("height_m")
-            height_m = actor.config.takeoff_height_m if height_m is None else height_m
-            if actor not in refusals and (up := self._monitor.sent_up(actor, height_m)) is not None:
-                sent[actor] = up
         if order is onboard_orders.upload_plan:
             own_arguments, staying = await self._arranged(vehicles, arguments)
         refusals.update(staying.items())
@@ -318,6 +314,11 @@ class FleetOrders:
         free = [actor for actor in vehicles if actor not in refusals]
         refusals.update((await self._mission_refusals(free, order, arguments)).items())
         refusals.update(self._late(order, {actor: asked[actor] for actor in free}).items())
+        for actor in vehicles if order is VehicleActor.takeoff else ():
+            height_m = arguments.get("height_m")
+            height_m = actor.config.takeoff_height_m if height_m is None else height_m
+            if actor not in refusals and (up := self._monitor.sent_up(actor, height_m)) is not None:
+                sent[actor] = up
         return Decided(refusals, own_arguments, sent, returning)
 
     async def _give(
@@ -339,6 +340,7 @@ class FleetOrders:
         try:
             for actor, reason in refusals.items():
                 given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
+                self._arrives(decided, actor)
             # one frame to all where the order may be broadcast, then one task per vehicle for its answer
             broadcast = None if waits else self._broadcast_command(vehicles, order)
             async with asyncio.TaskGroup() as group:
@@ -349,6 +351,7 @@ class FleetOrders:
                     returns = decided.returning.get(actor) if isinstance(actor, VehicleActor) else None
                     work = self._guarded(actor, given, returns, args, {**arguments, **own})
                     tasks[actor] = group.create_task(work, name=f"{order.__name__} {actor.name}")
+                    tasks[actor].add_done_callback(functools.partial(self._arrives, decided, actor))
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
                     # if one was refused, or waits for the end of a newer order, each gets its own frame
@@ -358,11 +361,14 @@ class FleetOrders:
         finally:
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
-            for actor, sent in decided.sent.items():
-                outcome = _outcome(tasks.get(actor))
-                self._monitor.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
             self._returning.run(decided.returning.values())
         return {name: tasks[a].result() if a in tasks else given.outcomes[name] for a, name in names.items()}
+
+    def _arrives(self, decided: Decided, actor: Actor, task: asyncio.Task[Outcome] | None = None) -> None:
+        """The order to one vehicle has ended, whatever the others of it still do. ``task``: None: it was not sent."""
+        if isinstance(actor, VehicleActor) and (sent := decided.sent.get(actor)) is not None:
+            outcome = _outcome(task)
+            self._monitor.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
 
     async def _guarded(
         self,

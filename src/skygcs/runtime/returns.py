@@ -224,6 +224,7 @@ class Returns:
                 waits.hint = f"; ordered again (skygcs-cli rtl {actor.name}), it returns at once"
             older = self._waiting.get(key)
             if older is not None and older.actor is actor and older.has_waited:
+                waits.asked_at = older.asked_at
                 waits.has_waited, waits.order_number = True, older.order_number
                 waits.goal_m, waits.custom_mode = older.goal_m, older.custom_mode
             if step is Step.LEAVES:

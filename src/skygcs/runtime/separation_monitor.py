@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
 from skygcs.core.geo import EnuFrame
-from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
 from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
@@ -36,7 +36,7 @@ from skygcs.core.monitor.order_check import (
     takeoff_conflict,
 )
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
-from skygcs.core.monitor.ways import Way, find_way_conflicts, sloped
+from skygcs.core.monitor.ways import Way, are_apart, find_way_conflicts, sloped
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -241,7 +241,7 @@ class SeparationMonitor:
         if mover is None:
             return None
         conflict = goto_conflict(mover, to, self._others(together, only=only), self._loop.time())
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, together, only=only)))
+        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to, together, only=only)))
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
@@ -257,7 +257,7 @@ class SeparationMonitor:
         else:
             to = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
             conflict = takeoff_conflict(mover, height_m, others, now)
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover), strict=not ahead))
+        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to), strict=not ahead))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -409,15 +409,19 @@ class SeparationMonitor:
         if ahead and destination is None and not track.parked and not track.lost:
             points += [frame.from_geodetic(*place) for place in self._trajectory(actor)] or _ahead(points[0], track)
         doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
-        silence_s = 0.0 if track.parked else min(self._loop.time() - track.at, TRACK_SILENT_S)
-        ball_m = track.footprint.ball_m(max(0.0, silence_s - FRESH_S))
-        return Way(track.key, track.name, self.footprint(actor), sloped(points), ball_m + holds.radius_m, doing)
+        ball_m = self._ball_m(track) + holds.radius_m
+        return Way(track.key, track.name, self.footprint(actor), sloped(points), ball_m, doing)
+
+    def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
+        """The home of one that comes home or down, by whatever order or failsafe; None: it does not, or not so that its
+        way is known."""
+        comes = actor.vehicle.mode in COMING_HOME and not track.parked and not track.circle_m
+        return actor.vehicle.telemetry("home") if comes else None
 
     def _way_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way | None:
-        """The way of one that comes home or down, by whatever order or failsafe; None: it does not, or that is not
-        known. A return height that was not read is taken to be the height that it is at."""
-        vehicle, home = actor.vehicle, actor.vehicle.telemetry("home")
-        if vehicle.mode not in COMING_HOME or home is None or track.parked or track.circle_m:
+        """The way of `_comes_home`. A return height that was not read is taken to be the height that it is at."""
+        vehicle, home = actor.vehicle, self._comes_home(actor, track)
+        if home is None:
             return None
         one = Returning(
             track.key,
@@ -432,19 +436,34 @@ class SeparationMonitor:
         return one.as_seen().way(under_way=True)
 
     def _ways(
-        self, mover: Mover, together: frozenset[int] = frozenset(), *, only: frozenset[int] | None = None
+        self, mover: Mover, to: Place, together: frozenset[int] = frozenset(), *, only: frozenset[int] | None = None
     ) -> Iterator[Way]:
-        """The ways of those that come home or down, or were sent somewhere; see `space_conflict`."""
+        """The ways of those that come home or down, or were sent somewhere, without most that are far from the straight
+        line to that place; see `space_conflict`."""
         frame = mover_frame(mover)
+        line = REST, frame.from_geodetic(*to)
         for key, track in self.monitor.tracks.tracks.items():
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
-            if (way := self._way_home(actor, track, frame)) is not None:
-                yield way
-            elif self._destination(key) is not None:
-                way = self._present_way(actor, track, frame, ahead=False)
-                yield replace(way, ball_m=max(0.0, way.ball_m - track.circle_m))  # that is compared at its end
+            comes, place = self._comes_home(actor, track), self._destination(key)
+            if comes is not None:
+                place = comes["lat_deg"], comes["lon_deg"], comes["alt_amsl_m"]
+            if place is None:
+                continue
+            margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
+            need_m = margin.total_m + ball_m
+            need = need_m, need_m, need_m * margin.downwash_ratio if comes is None else math.inf  # it may climb first
+            if are_apart(line, (frame.from_ecef(track.ecef_m), frame.from_geodetic(*place)), need):
+                continue
+            if (way := self._way_home(actor, track, frame)) is None:
+                way = replace(self._present_way(actor, track, frame, ahead=False), ball_m=ball_m)
+            yield way  # without its circle, which is compared at its end
+
+    def _ball_m(self, track: Track) -> float:
+        """How far it may be from where it was seen last."""
+        silence_s = 0.0 if track.parked else min(self._loop.time() - track.at, TRACK_SILENT_S)
+        return track.footprint.ball_m(max(0.0, silence_s - FRESH_S))
 
     def footprint(self, actor: VehicleActor) -> Footprint:
         """The space that a vehicle needs."""
@@ -491,7 +510,8 @@ class SeparationMonitor:
         if known.mode is None:
             return known.place
         led = actor.offboard.flying and (actor.offboard.controller.streaming or actor.offboard.controller.flight)
-        if led or actor.runner.ledger.effective > known.order_number or actor.vehicle.mode != known.mode:
+        idle = not actor.vehicle.armed  # its take-off failed, or it is down
+        if led or idle or actor.runner.ledger.effective > known.order_number or actor.vehicle.mode != known.mode:
             del self._destinations[key]
             return None
         return known.place

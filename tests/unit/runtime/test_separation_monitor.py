@@ -225,3 +225,24 @@ async def test_off_ends_at_once_and_every_order_passes() -> None:
     assert sky.monitor.goto_refusal(vehicle, (43.78, -79.46, 200.0), frozenset()) is None
     assert sky.monitor.takeoff_refusal(vehicle, 10.0) is None
     sky.fleet.close()
+
+
+async def test_of_a_fleet_that_takes_off_only_the_ways_nearby_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each take-off was compared with the ways of all: 30 ms of the loop for each of 250."""
+    sky = Sky(100)
+    now, frame, made = sky.loop.time(), EnuFrame(ORIGIN), list[str]()
+    for n, vehicle in enumerate(sky.vehicles):
+        vehicle.heartbeat(now)
+        vehicle.position(now, (5.0 * (n % 10), 5.0 * (n // 10), 20.0))
+    await sky.monitor.evaluate()
+    for n, actor in enumerate(sky.fleet.vehicles.values()):
+        sky.monitor.sent_to(actor, frame.to_geodetic(5.0 * (n % 10), 5.0 * (n // 10), 40.0))
+    real = sky.monitor._present_way
+    monkeypatch.setattr(
+        sky.monitor, "_present_way", lambda actor, *a, **k: made.append(actor.name) or real(actor, *a, **k)
+    )
+    vehicle = sky.fleet.find("v1").vehicle
+    assert sky.monitor.goto_refusal(vehicle, frame.to_geodetic(0.0, 0.0, 40.0), frozenset()) is None and made == []
+    assert sky.monitor.goto_refusal(vehicle, frame.to_geodetic(3.0, 0.0, 30.0), frozenset()) is not None
+    assert len(made) == 1
+    sky.fleet.close()

@@ -183,9 +183,9 @@ def holding_disc(other: Other, frame: EnuFrame) -> Disc:
 
 
 def _holders(mover: Mover, frame: EnuFrame, others: Iterable[Other]) -> Iterator[Holder]:
-    """Where the others hold, or will."""
+    """Where the others hold, or will, as far as `circle_conflict` compares them."""
     for other in others:
-        if other.track.key != mover.key:
+        if other.track.key != mover.key and (mover.circle_m or other.track.circle_m):
             yield Holder(other.track.name, other.track.footprint, holding_disc(other, frame))
 
 

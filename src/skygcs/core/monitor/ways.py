@@ -95,12 +95,24 @@ def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
     """Straight through these points, as exactly as legs of `STEP_M` are; a single one: it stays there."""
     between: list[Vector] = list(points[:1])
     for a, b in itertools.pairwise(points):
-        climb_m = min(abs(b[2] - a[2]), STEP_M * MOST_STEPS)
-        steps = math.ceil(climb_m / STEP_M) if climb_m > STEP_M else 1
-        for n in range(1, steps + 1):
+        # a leg that climbs is off by its climb, and by its length over the ground: a column is exact as it is
+        off_m = min(abs(b[2] - a[2]), math.dist(a[:2], b[:2]), STEP_M * MOST_STEPS)
+        steps = math.ceil(off_m / STEP_M) if off_m > STEP_M else 1
+        for n in range(1, steps):
             x, y, z = (p + (q - p) * n / steps for p, q in zip(a, b, strict=True))
             between.append((x, y, z))
+        between.append(b)
     return along(between)
+
+
+def are_apart(a: tuple[Vector, Vector], b: tuple[Vector, Vector], need: Vector) -> bool:
+    """True if two straight lines are farther apart than ``need`` along one axis: most of a fleet. False if a number is
+    none."""
+    for axis, need_m in enumerate(need):
+        p, q = (a[0][axis], a[1][axis]), (b[0][axis], b[1][axis])
+        if all(x + need_m < y for x in p for y in q) or all(y + need_m < x for x in p for y in q):
+            return True
+    return False
 
 
 def needed_m(a: Way, b: Way) -> float:
