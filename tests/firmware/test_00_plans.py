@@ -255,8 +255,7 @@ def test_one_returns_past_what_hovers_and_what_is_parked(fleet: MixedField, row:
         # back to where the next scenario begins
         _takes_off(fleet, (hovers,))
         _goes(fleet, hovers, (stand, 0.0, UP_M))
-        fleet.order("vehicles.land", hovers)
-        fleet.wait(lambda h=hovers: not fleet.truth(h).armed, 60, f"{hovers} has landed")  # type: ignore[misc]
+        _lands(fleet, hovers)
     row["finished"] = True
 
 
@@ -269,6 +268,11 @@ def _takes_off(fleet: MixedField, names: Sequence[str]) -> None:
 def _goes(fleet: MixedField, name: str, place: Vector) -> None:
     fleet.order("vehicles.goto", name, enu_m=list(place), force=True)
     fleet.wait(lambda: math.dist(_now(fleet, name), place) < 1.5, 60, f"{name} is at {place}")
+
+
+def _lands(fleet: MixedField, name: str) -> None:
+    fleet.order("vehicles.land", name)
+    fleet.wait(lambda: not fleet.truth(name).armed, 60, f"{name} has landed")
 
 
 def _change_places(fleet: MixedField) -> None:

@@ -62,7 +62,8 @@ async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insi
 
 @pytest.mark.parametrize("doing", ["flies", "returns", "takes off"])
 async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(tmp_path: Path, doing: str) -> None:
-    """What was sent there was taken to fly with 5 m/s, what comes home or down straight on, what takes off to stand."""
+    """Vehicles under way to a goto were modelled at 5 m/s, returning ones as flying straight on, and those that take
+    off as standing."""
     async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
         across, takes_off = [-4.0, 12.0, 7.0], None
         match doing:

@@ -99,8 +99,8 @@ class Rig(ABC):
     # -- time
 
     def time(self) -> float:
-        """Of the vehicle's clock now: what it said last, and at most a step more. On a busy machine a firmware's
-        simulator is slower than real time, so what is flown and measured against a clock is so by this one."""
+        """The vehicle's clock now: the time that it reported last, and at most a step more. On a busy machine a
+        firmware's simulator is slower than real time, so flights are timed and measured by this clock."""
         return self.now + min(self.clock() - self._heard_at, STEP_S)
 
     def step(self) -> None:

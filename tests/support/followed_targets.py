@@ -23,7 +23,7 @@ from support.sim_pilot import FIELD
 RADIUS_M, SPEED_MPS = 5.0, 2.0
 PERIOD_S = 2 * pi * RADIUS_M / SPEED_MPS
 LIMIT_S = 300.0
-"""Of the station's clock, for a flight of two circles by the vehicle's."""
+"""Most time by the station's clock for two circles, which the vehicle's clock times."""
 EVERY_S = 0.2
 """Between two targets: 5 Hz, as `position` control sends them."""
 

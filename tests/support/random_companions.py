@@ -15,36 +15,25 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
 from support.companion_pair import Pair, companion_pair
-from support.random_flights import HEARTBEAT_AT, Judged, quietly
+from support.random_flights import HEARTBEAT_AT, Deeds, Judged
 from support.truth_monitor import LOOK_S, TruthMonitor
 
 FLIGHT_S = 35.0
 
 
 @dataclass
-class PairFlight:
-    """One flight, and what was done in it."""
+class PairFlight(Deeds):
+    """One flight of a vehicle with its companion."""
 
     rng: random.Random
     pair: Pair
     monitor: TruthMonitor
-    done: list[str] = field(default_factory=list)
-    under_way: set[asyncio.Task[Any]] = field(default_factory=set)
     lost: set[str] = field(default_factory=set)
     """Of "ground" and "companion", those that do not run."""
-    raised: list[BaseException] = field(default_factory=list)
 
     def order(self, method: str, **params: Any) -> None:
-        if "ground" in self.lost:
-            return
-        task = asyncio.ensure_future(quietly(self.pair(method, **params)))
-        self.under_way.add(task)
-        task.add_done_callback(self._ended)
-
-    def _ended(self, task: asyncio.Task[Any]) -> None:
-        self.under_way.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self.raised.append(error)
+        if "ground" not in self.lost:
+            self.start(self.pair(method, **params))
 
 
 async def engage(f: PairFlight) -> None:
@@ -131,8 +120,7 @@ async def fly_by_companion(tmp_path: Path, seed: int) -> Judged:
         for task in [*flight.under_way, looking]:
             task.cancel()
         await asyncio.gather(*flight.under_way, looking, return_exceptions=True)
-        for error in flight.raised:
-            raise error
+        flight.require_nothing_raised()
         holds = sum(t.kind == "unattended" for t in [*pair.told, *pair.pi.told])
         return Judged(
             seed, tuple(monitor.breaches), (), monitor.looked, monitor.attended_again, holds, tuple(flight.done)

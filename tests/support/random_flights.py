@@ -37,17 +37,12 @@ KINDS = ({"px4": 2}, {"px4": 0, "ardupilot": 2}, {"px4": 1, "ardupilot": 1})
 
 
 @dataclass
-class RandomFlight:
-    """One flight, and what was done in it."""
+class Deeds:
+    """What was done in a random flight, and what of it is still under way."""
 
-    seed: int
-    rng: random.Random
-    gcs: Flown
-    monitor: TruthMonitor
-    done: list[str] = field(default_factory=list)
-    under_way: set[asyncio.Task[Any]] = field(default_factory=set)
-    restarts: int = 0
-    raised: list[BaseException] = field(default_factory=list)
+    done: list[str] = field(init=False, default_factory=list)
+    under_way: set[asyncio.Task[Any]] = field(init=False, default_factory=set)
+    raised: list[BaseException] = field(init=False, default_factory=list)
 
     def start(self, work: Awaitable[Any]) -> asyncio.Task[Any]:
         """Let something go on beside the next deeds."""
@@ -65,6 +60,17 @@ class RandomFlight:
         """A deed that is no order at all tests nothing."""
         for error in self.raised:
             raise error
+
+
+@dataclass
+class RandomFlight(Deeds):
+    """One flight of two vehicles."""
+
+    seed: int
+    rng: random.Random
+    gcs: Flown
+    monitor: TruthMonitor
+    restarts: int = 0
 
     def order(self, method: str, **params: Any) -> asyncio.Task[Any]:
         """A person orders something; sometimes its client goes away meanwhile."""

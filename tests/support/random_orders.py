@@ -34,7 +34,7 @@ from skygcs.sim.firmware_modes import CopterMode
 from support.flown import FIELD, Flown, Truth, flown
 from support.made_files import waypoints
 from support.planned import MARGIN_M
-from support.random_flights import Judged, quietly
+from support.random_flights import Deeds, Judged
 
 FLIGHT_S = 75.0
 
@@ -58,7 +58,7 @@ SETTLED_S = 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """What moves a vehicle from ``at`` on. ``free``: nothing is promised of it."""
+    """What moves a vehicle from ``at`` on. ``free``: no distance is promised under this order."""
 
     at: float
     kind: str
@@ -67,15 +67,12 @@ class Order:
 
 
 @dataclass
-class OrderedFlight:
+class OrderedFlight(Deeds):
     """One flight: what moves each vehicle, by system id, the oldest first."""
 
     rng: random.Random
     gcs: Flown
     moved_by: dict[str, list[Order]] = field(default_factory=lambda: {name: [] for name in NAMES})
-    done: list[str] = field(default_factory=list)
-    under_way: set[asyncio.Task[Any]] = field(default_factory=set)
-    raised: list[BaseException] = field(default_factory=list)
 
     def order(self, kind: str, method: str, targets: Iterable[str], *, free: bool = False, **params: Any) -> None:
         names, begun = list(targets), self.gcs.now
@@ -93,22 +90,12 @@ class OrderedFlight:
 
         self.start(give())
 
-    def start(self, work: Awaitable[Any]) -> None:
-        task = asyncio.ensure_future(quietly(work))
-        self.under_way.add(task)
-        task.add_done_callback(self._ended)
-
-    def _ended(self, task: asyncio.Task[Any]) -> None:
-        self.under_way.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self.raised.append(error)
-
     def note(self, name: str, order: Order) -> None:
         self.moved_by[name].append(order)
         self.moved_by[name].sort(key=lambda one: one.at)
 
     def newest(self, name: str, at: float) -> Order:
-        """What moves it then."""
+        """The order that moves it at this time."""
         return next((o for o in reversed(self.moved_by[name]) if o.at <= at), Order(-math.inf, "start", "start", True))
 
     def some(self) -> list[str]:
@@ -304,6 +291,5 @@ async def fly_by_orders(tmp_path: Path, seed: int) -> Judged:
         await asyncio.sleep(25.0)
         for task in list(flight.under_way):
             task.cancel()
-        for error in flight.raised:
-            raise error
+        flight.require_nothing_raised()
         return Judged(seed, (), tuple(too_near(flight, began)), 0, 0, 0, tuple(flight.done))

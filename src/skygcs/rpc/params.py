@@ -393,7 +393,7 @@ class UndoParams(MethodParams):
 
 
 class UndoRunParams(UndoParams):
-    force: bool = Field(False, description="Although one of these is so.")
+    force: bool = Field(False, description="Although it is armed, or a parameter holds another value.")
 
 
 class UndoChange(Result):

@@ -608,8 +608,8 @@ class Sessions:
         return f"the process has no more file descriptors for clients (ulimit -n), with {len(self._placed)} connected"
 
     def _look_for_free(self) -> None:
-        """Report once that there are places again: several clients have left, or more have one than when there were
-        none, as descriptors had run out. One fewer is none: it may have been closed for a newer one."""
+        """Report once that there are places again: several clients have left, or, where descriptors had run out, more
+        have a place than then. One client fewer does not count: it may have been closed for a newer one."""
         full_at, placed = self._full_at, len(self._placed)
         if full_at is not None and not AMPLE_SHARE * full_at - 1 <= placed <= full_at:
             self._full_at = None

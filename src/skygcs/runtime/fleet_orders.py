@@ -359,6 +359,8 @@ class FleetOrders:
                     if not behind and not any(task.done() for task in tasks.values()):
                         self._broadcast(broadcast)
         finally:
+            for actor in decided.sent.keys() - tasks.keys() - refusals.keys():
+                self._arrives(decided, actor)  # a fault kept the order from it
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
             self._returning.run(decided.returning.values())

@@ -75,7 +75,7 @@ class FlightJournal:
         """There is a journal of the daemon before, and it cannot be read: anything may have been flown."""
 
     def recall(self) -> list[FlightNote]:
-        """The notes of the daemon before. A file that cannot be read is reported, and is none."""
+        """The notes of the daemon before; none, with a report, if the file cannot be read."""
         try:
             return read_state(self._path, MAX_BYTES, self._notes_of)
         except FileNotFoundError:

@@ -249,15 +249,14 @@ class SeparationMonitor:
         if mover is None:
             return None
         others, now = self._others(frozenset()), self._loop.time()
-        attitude = vehicle.telemetry("attitude")
-        ahead = vehicle.abilities.takeoff.is_ahead and attitude is not None
-        if ahead and attitude is not None:
-            to = climb_out_end(mover, height_m, math.radians(attitude["yaw_deg"]))
+        ahead = vehicle.telemetry("attitude") if vehicle.abilities.takeoff.is_ahead else None
+        if ahead is not None:
+            to = climb_out_end(mover, height_m, math.radians(ahead["yaw_deg"]))
             conflict = goto_conflict(mover, to, others, now)
         else:
             to = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
             conflict = takeoff_conflict(mover, height_m, others, now)
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to), strict=not ahead))
+        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to), strict=ahead is None))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -316,8 +315,7 @@ class SeparationMonitor:
                 continue
             flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
             way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
-            way = way or self._way_home(actor, track, frame)
-            others.append(self._present_way(actor, track, frame, ahead=False) if way is None else way)
+            others.append(way or self._way_left(actor, track, frame))
         return await self._way_refusals(ways, others) | self._landing_refusals(ways)
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
@@ -418,11 +416,12 @@ class SeparationMonitor:
         comes = actor.vehicle.mode in COMING_HOME and not track.parked and not track.circle_m
         return actor.vehicle.telemetry("home") if comes else None
 
-    def _way_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way | None:
-        """The way of `_comes_home`. A return height that was not read is taken to be the height that it is at."""
+    def _way_left(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way:
+        """The way that a vehicle has still to fly: home or down, or to where skygcs has sent it. A return height that
+        was not read is taken to be the height that it is at."""
         vehicle, home = actor.vehicle, self._comes_home(actor, track)
         if home is None:
-            return None
+            return self._present_way(actor, track, frame, ahead=False)
         one = Returning(
             track.key,
             track.name,
@@ -456,9 +455,9 @@ class SeparationMonitor:
             need = need_m, need_m, need_m * margin.downwash_ratio if comes is None else math.inf  # it may climb first
             if are_apart(line, (frame.from_ecef(track.ecef_m), frame.from_geodetic(*place)), need):
                 continue
-            if (way := self._way_home(actor, track, frame)) is None:
-                way = replace(self._present_way(actor, track, frame, ahead=False), ball_m=ball_m)
-            yield way  # without its circle, which is compared at its end
+            way = self._way_left(actor, track, frame)
+            # its circle is compared at its end
+            yield replace(way, ball_m=ball_m) if comes is None else way
 
     def _ball_m(self, track: Track) -> float:
         """How far it may be from where it was seen last."""

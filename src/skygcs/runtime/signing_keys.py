@@ -81,8 +81,8 @@ def _kept(table: Any) -> Kept:
 
 
 class SigningStore:
-    """One file per key, named by its id and without the key. ``problems``: why the last access
-    failed, by the id of the key; those of which it did not are missing."""
+    """One file per key, named by its id and without the key. ``problems``: why the last access failed, by key id, of
+    the keys of which it did."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
@@ -483,7 +483,8 @@ class Signing:
 
     def _report_store(self) -> None:
         """A clock that cannot be read or saved is reported once per reason, and once when it is saved again."""
-        before, self._store_failed = self._store_failed, set(tuple(self._store.problems.values()))  # others write it
+        problems = tuple(self._store.problems.values())  # copied at once: threads of the disk change it
+        before, self._store_failed = self._store_failed, set(problems)
         texts = [
             f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
             for problem in sorted(self._store_failed - before)

@@ -1,5 +1,5 @@
-"""Files that the daemon keeps for its next start: whatever stands in their place, they are read in no time, and what is
-damaged is reported and is none."""
+"""Files that the daemon keeps for its next start: whatever stands in their place, reading them does not block, and a
+damaged file is reported and left out."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ async def test_what_a_full_disk_does_to_several_keys_is_reported_once(
 
 @pytest.mark.looptime
 async def test_a_computer_whose_clock_was_a_year_ahead_for_a_while_reports_it_when_that_is_set_back() -> None:
-    """What it signs stays a year ahead, and was reported by the next start only."""
+    """Its signatures stay a year ahead; only the next start reported that."""
     wall, events = [1.8e9], list[Event]()
     signing = Signing(load_dialect("all"), events.append, SigningStore(None), lambda: wall[0])
     signing.key_of(bytes(32))

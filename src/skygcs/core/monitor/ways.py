@@ -58,7 +58,7 @@ class Way:
 
     @cached_property
     def is_known(self) -> bool:
-        """False if one of its numbers is none: it may be anywhere."""
+        """False if one of its numbers is NaN: the vehicle may be anywhere."""
         numbers = (x for leg in self.legs for x in (*leg.begin, *leg.end, leg.low_m, leg.high_m))
         return not any(map(math.isnan, (self.ball_m, *numbers)))
 
@@ -106,8 +106,7 @@ def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
 
 
 def are_apart(a: tuple[Vector, Vector], b: tuple[Vector, Vector], need: Vector) -> bool:
-    """True if two straight lines are farther apart than ``need`` along one axis: most of a fleet. False if a number is
-    none."""
+    """True if two straight lines are farther apart than ``need`` along one axis: most of a fleet. False with a NaN."""
     for axis, need_m in enumerate(need):
         p, q = (a[0][axis], a[1][axis]), (b[0][axis], b[1][axis])
         if all(x + need_m < y for x in p for y in q) or all(y + need_m < x for x in p for y in q):

@@ -102,8 +102,8 @@ class ParamRole(StrEnum):
 
 
 LOCKED = frozenset(ParamRole) - {ParamRole.TUNING, ParamRole.UNKNOWN, ParamRole.HARMLESS}
-"""Roles that a flight was certified or entered with: refused until it has ended, whoever insists. Gains are not among
-them: they are tuned in flight, by a person who insists."""
+"""Parameters of these roles stay as they were when a flight was certified or entered: a change is refused until it has
+ended, also with force. Gains are not among them: with force they may be tuned in flight."""
 
 EFFECTS: Mapping[ParamRole, str] = {
     ParamRole.IDENTITY: "it is addressed by it",
