@@ -20,6 +20,7 @@ The kinds of alarms, and the events and states that raise and end them:
     plan          a plan stopped or aborted                      a plan flies again, or is over            alarm
     ground        a companion has lost its ground                at once                                   alarm
     recorder      the disk is full or fails: no recording        it records again, or skygcs restarts      alarm
+    keys          a companion cannot read its keys any more      it can, or skygcs restarts                alarm
     operator      nobody at the controls, and vehicles flew      at once                                   alarm
     autopilot     a text of level critical and above             at once                                   warning
     fault         a fault inside skygcs                          at once                                   alarm
@@ -80,7 +81,7 @@ CONSEQUENCES: Mapping[str, frozenset[str]] = {
 alarms."""
 
 
-OF_THE_PROCESS = frozenset({"recorder"})
+OF_THE_PROCESS = frozenset({"recorder", "keys"})
 """Kinds whose condition ends with the daemon that has it; the next one raises them anew."""
 
 
@@ -197,6 +198,11 @@ def _recorder(event: Event, _: VehicleFacts) -> list[Signal]:
     return [] if recording is None else [Signal("recorder", None, not recording, event.text)]
 
 
+def _companion(event: Event, _: VehicleFacts) -> list[Signal]:
+    change = event.data.get("change")
+    return [Signal("keys", None, change == "keys_kept", event.text)] if change in ("keys_kept", "keys_read") else []
+
+
 def _warning(event: Event, _: VehicleFacts) -> list[Signal]:
     if "action" not in event.data or "vehicles" not in event.data:
         return []
@@ -237,6 +243,7 @@ RULES: Mapping[str, Rule] = {
     "duplicate": _duplicate,
     "plan": _plan,
     "recorder": _recorder,
+    "companion": _companion,
     "ground_lost": _lasting("ground"),
     "warning": _warning,
     "statustext": _statustext,

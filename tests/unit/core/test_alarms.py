@@ -43,6 +43,7 @@ CASES = {
         event("separation", level=None, **{"with": "b"}),
     ),
     "recorder": (event("recorder", None, recording=False), event("recorder", None, recording=True)),
+    "keys": (event("companion", None, change="keys_kept"), event("companion", None, change="keys_read")),
     "unwatched": (event("separation", watched=False), event("separation", watched=True)),
     "duplicate": (event("duplicate", change="duplicate"), event("duplicate", change="duplicate_over")),
     "plan": (event("plan", None, state="stopped"), event("plan", None, state="flying")),

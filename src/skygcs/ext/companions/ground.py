@@ -116,15 +116,15 @@ class Companions(Extension[CompanionsConfig]):
 
     def _look_at_pins(self) -> None:
         """Connect anew where the pinned certificate is another one, or none: a companion whose certificate was removed
-        gets nothing more. Nothing else ends a connection in flight: neither the same certificate written again, nor a
-        new identity of ours, which the companion may not have pinned yet."""
+        gets nothing more. Nothing else ends a connection in flight: neither the same certificate written again, one
+        that is half written, nor a new identity of ours, which the companion may not have pinned yet."""
         for name, (seen, pin) in self._pins.items():
             identity, link = Identity.of_ground(self.config.key_dir, name), self.links.get(name)
             if link is None or (changed := identity.changed()) == seen:
                 continue
-            if _pin_of(identity) == pin:
+            if (found := _pin_of(identity)) == pin:
                 self._pins[name] = changed, pin
-            else:
+            elif found is not None or _is_removed(identity):
                 link.woke("the pinned certificate was replaced or removed")
 
 
@@ -134,3 +134,14 @@ def _pin_of(identity: Identity) -> bytes | None:
         return read_certificate(identity.pinned)
     except LinkError:
         return None
+
+
+def _is_removed(identity: Identity) -> bool:
+    """True if there is no pinned certificate, not even one that cannot be read."""
+    try:
+        identity.pinned.lstat()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    return False

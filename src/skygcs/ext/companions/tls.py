@@ -115,6 +115,13 @@ class PinnedTls:
         shown = None if connection is None else connection.getpeercert(binary_form=True)
         return shown is not None and hmac.compare_digest(hashlib.sha256(shown).digest(), self._pinned_sha256)
 
+    def is_replaced(self, pinned: Path) -> bool:
+        """True if another certificate is pinned now. A file that cannot be read replaces nothing."""
+        try:
+            return hashlib.sha256(read_certificate(pinned)).digest() != self._pinned_sha256
+        except LinkError:
+            return False
+
     def explain(self, error: OSError) -> str | None:
         """Why a handshake failed and what to do; None if ``error`` is not about TLS."""
         import ssl

@@ -9,7 +9,9 @@
     silent during the handshake     closed after HANDSHAKE_S
     the ground's                    a session as on the Unix socket, with the same limits
 
-Without its files the port stays closed; they are looked for again every RETRY_S, and read again when they change.
+Without its files the port stays closed; they are looked for again every RETRY_S, and read again when they change. Once
+read, they count until others can be read: a file that is gone or half written cuts no ground from a vehicle in the air,
+but raises an alarm. Another pinned certificate counts at once.
 """
 
 from __future__ import annotations
@@ -101,6 +103,8 @@ class TlsListener:
         self._identity = identity
         self._on_event = on_event
         self._tls: PinnedTls | None = None
+        self._kept: str | None = None
+        """Why the files cannot be used as they are now, and those read before count."""
         self._read_at: object = None
         self._limits = HandshakeLimits(asyncio.get_running_loop().time())
         self._handshakes: set[asyncio.Task[None]] = set()
@@ -111,7 +115,7 @@ class TlsListener:
         """JSON-able."""
         return {
             "listen": None if self.address is None else format_address(self.address),
-            "problem": self.problem,
+            "problem": self.problem or self._kept,
             "pinned": None if self._tls is None else self._tls.pinned_fingerprint,
             **{
                 name: self.counters[name]
@@ -143,11 +147,18 @@ class TlsListener:
             await asyncio.sleep(RETRY_S)
 
     def _refresh(self) -> PinnedTls:
-        """The context of the files as they are now. Raises LinkError."""
-        read_at = self._identity.changed()
+        """The context of the files as they are now, or of the last ones that could be used. Raises LinkError if there
+        are none, or another certificate is pinned since."""
+        read_at, kept = self._identity.changed(), None
         if self._tls is None or read_at != self._read_at:
-            self._tls = None
-            self._tls, self._read_at = PinnedTls(self._identity, server=True), read_at
+            try:
+                self._tls, self._read_at = PinnedTls(self._identity, server=True), read_at
+            except LinkError as error:
+                if self._tls is None or self._tls.is_replaced(self._identity.pinned):
+                    self._tls = None
+                    raise
+                kept = str(error)
+        self._report_kept(kept)
         return self._tls
 
     async def _listening(self) -> socket.socket:
@@ -201,7 +212,7 @@ class TlsListener:
         except asyncio.CancelledError:
             sock.close()
             raise
-        except SkygcsError as error:  # a file was removed or replaced by a wrong one
+        except SkygcsError as error:  # another certificate was pinned, and the files beside it cannot be used
             sock.close()
             self.counters["handshakes_failed"] += 1
             self._report(str(error))
@@ -223,8 +234,8 @@ class TlsListener:
         return False
 
     async def _watch_pin(self) -> None:
-        """Close the connections of a ground whose certificate is not pinned any more: removed, or replaced. They are
-        compared at each look: a handshake may have read the new files before it, or begun with the old ones."""
+        """Close the connections of a ground whose certificate was replaced by another one. They are compared at each
+        look: a handshake may have read the new files before it, or begun with the old ones."""
         while True:
             await asyncio.sleep(PIN_LOOK_S)
             try:
@@ -242,6 +253,18 @@ class TlsListener:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _report_kept(self, problem: str | None) -> None:
+        """An alarm while the files cannot be used and the last good ones count, with its end."""
+        before, self._kept = self._kept, problem
+        if (problem is None) == (before is None):
+            return
+        what = "of the companion's identity and the ground's certificate"
+        if problem is None:
+            text, change = f"the files {what} can be used again", "keys_read"
+        else:
+            text, change = f"{problem}; the last files {what} count until then, but not after a restart", "keys_kept"
+        self._on_event(Event("companion", None, None, text, {"change": change}))
 
     def _report(self, problem: str | None) -> None:
         if problem == self.problem:

@@ -33,6 +33,7 @@ test("what a daemon's alarm is for has its severity here, and its end has none",
   assert.equal(severityOf(event("fence", { outside: false }), true), "info");
   assert.equal(severityOf(event("fence", { order: "set" }), true), "info");
   assert.equal(severityOf(event("ground_lost"), true), "alarm");
+  assert.equal(severityOf(event("companion", { change: "keys_kept" }), null), "alarm");
   assert.equal(severityOf(event("command", { order: "stop", ok: false, result: "timeout" }), true), "alarm");
   assert.equal(severityOf(event("command", { order: "stop", ok: false, result: "cancelled" }), true), "warning");
   assert.equal(severityOf(event("statustext", { level: 1 }, "Crash: Disarming"), false), "warning");

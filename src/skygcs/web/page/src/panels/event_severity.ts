@@ -39,6 +39,8 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
     case "uplink_lost":
     case "ground_lost":
       return grounded;
+    case "companion":
+      return data["change"] === "keys_kept" ? "alarm" : "info";
     case "fence":
       return data["outside"] === true ? grounded : "info";
     case "duplicate":
