@@ -276,9 +276,7 @@ class JoystickFlight:
         if task.cancelled() or task is not self._engaging:
             return
         self._engaging = None
-        error = task.exception()
-        ok, message = (False, str(error)) if error is not None else task.result()
-        self._pending += self._session.on_engaged(ok, message, asyncio.get_running_loop().time())
+        self._pending += self._session.on_engaged(*_answered(task), asyncio.get_running_loop().time())
         self._wake.set()
 
     async def _flown(self) -> tuple[bool, str]:
@@ -319,12 +317,9 @@ class JoystickFlight:
         return bool(outcome["ok"]), str(outcome["message"])
 
     async def _stop(self, flying: bool) -> None:
-        """Zero velocity, then hold. A vehicle that somebody else has is left alone."""
-        if self._engaging is not None:
-            task, self._engaging = self._engaging, None
-            task.cancel()
-        if not flying and not self._engage:  # it only asked whether it is flown
-            self._pending += self._session.on_stopped(True, "it was not flown yet: nothing is ordered")
+        """Zero velocity, then hold. A vehicle that somebody else has, or that was not taken, is left alone."""
+        if (why := await self._not_taken()) is not None:
+            self._pending += self._session.on_stopped(True, f"{why}: nothing is ordered")
             return
         self.counts["stops"] += 1
         ok, message = True, ""
@@ -345,6 +340,31 @@ class JoystickFlight:
             ok, message = False, f"hold: {error}"
         self._pending += self._session.on_stopped(ok, message if ok else f"HOLD FAILED: {message}")
 
+    async def _not_taken(self) -> str | None:
+        """Why a vehicle whose engagement is under way is not to be stopped: it was refused, and others may fly it;
+        None: it is, or may be, ours. Waits until that is answered or setpoints begin, STOP_WITHIN_S at most."""
+        engaging, self._engaging = self._engaging, None
+        if engaging is None:
+            return None
+        if not self._engage:  # it only asked whether it is flown
+            engaging.cancel()
+            return "it was not flown yet"
+        ends = asyncio.get_running_loop().time() + STOP_WITHIN_S
+        try:
+            while asyncio.get_running_loop().time() < ends:
+                await asyncio.wait([engaging], timeout=PERIOD_S)
+                if engaging.done():
+                    if isinstance(error := engaging.exception(), DaemonUnreachable):
+                        raise error
+                    ok, message = _answered(engaging)
+                    return None if ok else f"not taken under control ({message})"
+                status = (await self._answer(self._gcs.call("control.status", targets=self._name)))[0]
+                if status["state"] == "engaging":
+                    return None
+        finally:
+            engaging.cancel()
+        return None
+
     async def _answer(self, call: Awaitable[Any]) -> Any:
         """Raises DaemonUnreachable if it does not come in time."""
         task = asyncio.ensure_future(call)
@@ -361,6 +381,13 @@ class JoystickFlight:
         """On stderr; a terminal that was closed does not keep the vehicle from being stopped."""
         with contextlib.suppress(OSError):
             fail(text)
+
+
+def _answered(engagement: asyncio.Task[tuple[bool, str]]) -> tuple[bool, str]:
+    """The outcome of an engagement that is over: whether it is ours, and a message."""
+    if (error := engagement.exception()) is not None:
+        return False, str(error)
+    return engagement.result()
 
 
 def add_to(app: typer.Typer) -> None:
