@@ -7,6 +7,7 @@ on another. Links of one group carry copies of the same frames on purpose: each 
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import json
 import os
 import time
@@ -51,6 +52,9 @@ and at once after a larger jump; ArduPilot uses a minute, too."""
 
 MAX_FILE_BYTES = 4096
 
+LOCK_TRIES, LOCK_EVERY_S = 20, 0.02
+"""Another program holds the folder for a few writes of the disk."""
+
 
 def default_state_dir() -> Path | None:
     """$XDG_STATE_HOME/skygcs/signing, by default below ~/.local/state; None for a user without a home."""
@@ -71,45 +75,72 @@ class Kept(NamedTuple):
     """This computer's clock at that time; 0 in older files."""
 
 
-def _kept(table: Any) -> Kept:
+class Saved(NamedTuple):
+    """The content of a key's file."""
+
+    timestamp: int
+    wall: int
+    exact: bool
+    """No later stamp was used before it is loaded."""
+
+    def kept(self) -> Kept:
+        margin = 0 if self.exact else int(AFTER_CRASH_S * TICKS_PER_S)
+        return Kept(min(self.timestamp + margin, MAX_TIMESTAMP), self.wall)
+
+
+def _saved(table: Any) -> Saved:
     """Decode a file, for `read_state`."""
     if table["format"] != FORMAT:
         raise ValueError(f"format {table['format']}")
-    margin = 0 if table["exact"] else int(AFTER_CRASH_S * TICKS_PER_S)
-    wall = min(max(int(table.get("wall", 0)), 0), MAX_TIMESTAMP)
-    return Kept(min(max(int(table["timestamp"]), 0) + margin, MAX_TIMESTAMP), wall)
+    timestamp, wall = (min(max(int(time), 0), MAX_TIMESTAMP) for time in (table["timestamp"], table.get("wall", 0)))
+    return Saved(timestamp, wall, bool(table["exact"]))
 
 
 class SigningStore:
     """One file per key, named by its id and without the key. ``problems``: why the last access failed, by key id, of
-    the keys of which it did."""
+    the keys of which it did; ``shared``: ids of keys that another program on this computer saves as well.
+
+    The time in a file never goes back, whoever writes it: of two daemons with one key the later one's counts.
+    """
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
+        self._known: dict[str, Saved | None] = {}
+        """By key id: content of its file as it was read or written here last."""
+        self.shared = set[str]()
         self.problems = {} if folder is not None else {"": "there is no folder for the clocks of the keys"}
 
     def load(self, key_id: str) -> Kept:
         """The saved clock of a key; zeros without a file."""
         if self._folder is None:
             return Kept(0, 0)
-        path = self._path(key_id)
+        path, saved = self._path(key_id), None
         try:
-            return read_state(path, MAX_FILE_BYTES, _kept)
+            saved = read_state(path, MAX_FILE_BYTES, _saved)
         except FileNotFoundError:
-            return Kept(0, 0)
+            pass
         except (OSError, ValueError) as error:
             self.problems[key_id] = f"{path} cannot be read ({error})"
-            return Kept(0, 0)
+        self._known[key_id] = saved
+        return Kept(0, 0) if saved is None else saved.kept()
 
-    def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool) -> None:
-        """Save it atomically; ``exact``: no later stamp will be used before the next `load`."""
+    def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool, back: bool = False) -> None:
+        """Save it atomically; ``exact``: no later stamp will be used before the next `load`; ``back``: also if that of
+        another program is later."""
         if self._folder is None:
             return
-        path = self._path(key_id)
-        content = json.dumps({"format": FORMAT, "timestamp": timestamp, "wall": wall, "exact": exact})
+        path, saved = self._path(key_id), Saved(timestamp, wall, exact)
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_whole(path, content.encode(), 0o600)
+            with _alone(self._folder):
+                there = _there(path)
+                if there is not None and there != self._known.get(key_id):
+                    self.shared.add(key_id)
+                    if not back:
+                        later = max(timestamp, there.timestamp), max(wall, there.wall)
+                        saved = Saved(*later, exact=False)  # the other one goes on
+                write_whole(path, json.dumps({"format": FORMAT, **saved._asdict()}).encode(), 0o600)
+                self._known[key_id] = saved
         except OSError as error:
             self.problems[key_id] = f"{path} cannot be written ({error.strerror})"
         else:
@@ -118,6 +149,31 @@ class SigningStore:
     def _path(self, key_id: str) -> Path:
         assert self._folder is not None
         return self._folder / f"{key_id}.json"
+
+
+def _there(path: Path) -> Saved | None:
+    """The content of a file; None for one that is missing or damaged."""
+    try:
+        return read_state(path, MAX_FILE_BYTES, _saved)
+    except (OSError, ValueError):
+        return None
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Other programs wait meanwhile with what they save in this folder; not for long, as one may stand still in it.
+    Raises OSError."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        for _ in range(LOCK_TRIES):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(LOCK_EVERY_S)
+        yield
+    finally:
+        os.close(handle)
 
 
 MAX_REPORTED = 64
@@ -252,6 +308,8 @@ class Signing:
         self._streams: dict[tuple[bytes, str | None], SignatureStreams] = {}
         self._watchers: list[OnRefused] = []
         self._store_failed = set[str]()
+        self._shared = set[str]()
+        """Keys of which it is reported that another program signs with them."""
 
     # -- links
 
@@ -321,7 +379,9 @@ class Signing:
             if secret == key.secret:
                 streams.reset()
         if self.disk is not None:
-            self.disk.offer("a clock of signing", partial(self._store.save, key.id, wall, wall=wall, exact=False))
+            self.disk.offer(
+                "a clock of signing", partial(self._store.save, key.id, wall, wall=wall, exact=False, back=True)
+            )
         key.saved = wall
         text = f"the clock of key {key.id} was {_duration(before_s)} ahead of this computer's and is set back to it"
         self._on_event(Event("signing", None, None, f"signing: {text}", {"key_id": key.id, "ahead_s": round(before_s)}))
@@ -491,6 +551,12 @@ class Signing:
         ]
         if before and not self._store_failed:
             texts = ["the clocks of the keys are saved again"]
+        shared, self._shared = self._store.shared - self._shared, self._shared | self._store.shared
+        texts += [
+            f"another skygcs on this computer signs with key {key}: a vehicle that hears both drops what one sends "
+            "as old, unless their links have different link_ids (links.NAME.signing.link_id)"
+            for key in sorted(shared)
+        ]
         for text in texts:
             self._on_event(Event("warning", None, None, f"signing: {text}", {}))
 

@@ -169,6 +169,39 @@ async def test_a_computer_whose_clock_was_a_year_ahead_for_a_while_reports_it_wh
     assert "365 days ahead" in event.text and "reset-clock" in event.text
 
 
+DAY = 86_400 * TICKS_PER_S
+
+
+@pytest.mark.looptime
+async def test_of_two_daemons_with_one_key_the_later_time_counts_whoever_saves_last(tmp_path: Path) -> None:
+    """One has followed a vehicle that is most of a day ahead. What the other one saved last made it begin earlier than
+    it had signed, and its vehicles refused that."""
+    secret, events, wall = bytes(range(32)), list[Event](), [1.8e9]
+    running = []
+    for _ in range(2):
+        signing = Signing(load_dialect("all"), events.append, SigningStore(tmp_path), lambda: wall[0])
+        signing.disk = inline_disk(asyncio.get_running_loop())
+        signing.key_of(secret)
+        running.append((signing, asyncio.create_task(signing.run())))
+    (one, of_one), (other, of_other) = running
+    one.key_of(secret).clock.advance(ahead := one._wall() + DAY * 9 // 10)
+    for _ in range(5):
+        wall[0] += 15.0
+        await asyncio.sleep(15.0)
+        sent = max(one.stamp(secret), ahead)
+        other.stamp(secret)
+    await ended(of_one)
+    await ended(of_other)
+    assert SigningStore(tmp_path).load(key_id(secret)).timestamp > sent
+    (told, again) = [event.text for event in events]
+    assert told == again and f"another skygcs on this computer signs with key {key_id(secret)}" in told
+    # a clock that is set back is set back in the file
+    events.clear()
+    one.reset_clock(key_id(secret))
+    await asyncio.sleep(1.0)
+    assert SigningStore(tmp_path).load(key_id(secret)).timestamp < ahead
+
+
 async def test_at_the_end_every_clock_is_saved_however_often_the_task_is_cancelled(tmp_path: Path) -> None:
     class Disk:
         """One that takes a turn of the loop for each job."""
