@@ -13,19 +13,28 @@
     waiting     for ground_lost_s                                         acted       return
     acted       contact, and control goes on: the order was denied        watched     -
     any         control has ended: an order, a pilot, the guard           idle        -
+    any         it ticks again after a standstill, for LISTEN_S           the same    -
 
 Contact is a call of the ground, or a heartbeat of it that is proven to be its own. An order of this table is given
 once in each loss: a pilot who takes the vehicle out of it is not answered by another one. Without control nothing is
-ever ordered: the vehicle is its pilot's or its autopilot's then, and their failsafes act.
+ever ordered: the vehicle is its pilot's or its autopilot's then, and their failsafes act. After a standstill of this
+process, which heard nothing, the ground's word of that time waits to be read: it is not the ground that was silent.
 """
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from typing import Literal
 
 GROUND_LINK = "ground"
 """Name of the link to the ground, which the companion opens itself."""
+
+LATE_S = 0.5
+"""Between two ticks; more is a standstill, or a loop that was busy for so long."""
+
+LISTEN_S = 1.0
+"""Two of the ground's signs of life, and time to read what waits."""
 
 GroundLost = Literal["return", "hold", "land", "finish"]
 """The configured reaction."""
@@ -45,7 +54,7 @@ class ContactState(StrEnum):
 class GroundContact:
     """The contact of one vehicle. Call `tick` a few times a second; it returns what is to be ordered, or None."""
 
-    __slots__ = ("_since", "action", "lost_s", "state")
+    __slots__ = ("_since", "_stands_until", "_ticked_at", "action", "lost_s", "state")
 
     def __init__(self, action: GroundLost, lost_s: float) -> None:
         """``lost_s``: the ground is lost after a silence of so long."""
@@ -54,6 +63,8 @@ class GroundContact:
         self.state = ContactState.IDLE
         self._since = 0.0
         """When control began, or when the end of the trajectory was reached."""
+        self._ticked_at = math.inf
+        self._stands_until = -math.inf
 
     @property
     def lost(self) -> bool:
@@ -63,8 +74,13 @@ class GroundContact:
     def tick(self, now: float, *, controlled: bool, follows: bool, contact_at: float) -> Action | None:
         """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that comes to its
         end by itself; ``contact_at``: the last contact with the ground."""
+        if now - self._ticked_at > LATE_S:
+            self._stands_until = now + LISTEN_S
+        self._ticked_at = now
         if not controlled:
             self.state = ContactState.IDLE
+            return None
+        if now < self._stands_until:
             return None
         if self.state is ContactState.IDLE:
             self.state, self._since = ContactState.WATCHED, now

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from skygcs.ext.companions.ground_contact import Action, ContactState, GroundContact, GroundLost
+from skygcs.ext.companions.ground_contact import LISTEN_S, Action, ContactState, GroundContact, GroundLost
 from support.table import each
 
 LOST_S = 5.0
@@ -59,6 +59,18 @@ def test_finish_without_a_trajectory_returns_at_once() -> None:
     ticks(watch, 0.0, 10.0)
     ((at, action),) = ticks(watch, 10.0, 30.0, contact_at=10.0)
     assert action == "return" and at == pytest.approx(15.0, abs=0.21)
+
+
+@each("action", ["return", "hold", "land", "finish"])
+def test_a_standstill_of_the_companion_is_no_silence_of_the_ground(action: GroundLost) -> None:
+    """A board that throttled for 3 s brought its vehicle home, though the ground had spoken all the time."""
+    watch = GroundContact(action, 2.0)
+    assert ticks(watch, 0.0, 10.0) == []
+    for end in (13.0, 13.4, 16.6):  # what waited is read a moment after it goes on, if the ground is there
+        assert ticks(watch, end, end + 0.4, contact_at=10.0) == []
+        assert ticks(watch, end + 0.4, end + 0.6) == [] and watch.state is ContactState.WATCHED
+    ((at, _),) = ticks(watch, 20.0, 30.0, contact_at=16.8)
+    assert at == 20.0 + LISTEN_S, "it is lost after a standstill, too"
 
 
 @each("follows", [True, False])
