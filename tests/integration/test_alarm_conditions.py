@@ -214,6 +214,7 @@ ELSEWHERE = {
     "stop": "test_alarms.py",
     "return": "test_restart_in_flight.py",
     "ground": "test_companion_lost.py",
+    "keys": "unit/ext/companions/test_tls_orders.py",
     "fault": "a fault is ours: `flown` has none",
 }
 
