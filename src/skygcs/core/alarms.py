@@ -20,7 +20,7 @@ The kinds of alarms, and the events and states that raise and end them:
     plan          a plan stopped or aborted                      a plan flies again, or is over            alarm
     ground        a companion has lost its ground                at once                                   alarm
     recorder      the disk is full or fails: no recording        it records again, or skygcs restarts      alarm
-    keys          a companion cannot read its keys any more      it can, or skygcs restarts                alarm
+    keys          a companion cannot read its keys any more      it can, or restarts; the ground: at once  alarm
     operator      nobody at the controls, and vehicles flew      at once                                   alarm
     autopilot     a text of level critical and above             at once                                   warning
     fault         a fault inside skygcs                          at once                                   alarm
@@ -199,8 +199,10 @@ def _recorder(event: Event, _: VehicleFacts) -> list[Signal]:
 
 
 def _companion(event: Event, _: VehicleFacts) -> list[Signal]:
-    change = event.data.get("change")
-    return [Signal("keys", None, change == "keys_kept", event.text)] if change in ("keys_kept", "keys_read") else []
+    change, here = event.data.get("change"), event.vehicle is None  # else the ground heard it, and may miss its end
+    if change not in ("keys_kept", "keys_read"):
+        return []
+    return [Signal("keys", event.vehicle, change == "keys_kept", event.text, lasts=here)]
 
 
 def _warning(event: Event, _: VehicleFacts) -> list[Signal]:

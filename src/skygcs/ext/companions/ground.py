@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping
+from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.tables import Problem
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.ext.companions import methods
 from skygcs.ext.companions.companion_control import CompanionCalls, CompanionControl
-from skygcs.ext.companions.companion_link import CompanionClient, Dial
+from skygcs.ext.companions.companion_link import CompanionClient, CompanionLink, Dial
 from skygcs.ext.companions.companion_links import CompanionLinks
 from skygcs.ext.companions.companions_table import CompanionsConfig, companions_problems, servers_of
 from skygcs.ext.companions.ground_finder import GroundAnnouncement
@@ -44,6 +46,8 @@ class Companions(Extension[CompanionsConfig]):
         self.links = CompanionLinks(config, self._dial_to, asyncio.get_running_loop(), publish, sleep.check)
         self.by_vehicle: dict[str, CompanionCalls] = {**self.links.by_vehicle()}
         """The connections, by the vehicle that the companion is on."""
+        for link in self.links.by_vehicle().values():
+            link.on_events(partial(self._on_event, link))
         self._announcement: GroundAnnouncement | None = None
         if config.advertise:
             announced = config.link or servers_of(core.config)[0]  # `problems` has found that there is one
@@ -113,6 +117,14 @@ class Companions(Extension[CompanionsConfig]):
             return await connect_pinned(host, port, identity)
 
         return dial
+
+    def _on_event(self, link: CompanionLink, event: Mapping[str, Any]) -> None:
+        """An event at a companion. Who has to mend its keys looks here."""
+        data = event.get("data")
+        change = data.get("change") if isinstance(data, dict) else None
+        if event.get("kind") == "companion" and change in ("keys_kept", "keys_read"):
+            text, told = f"companion {link.name}: {event.get('text')}"[:500], {"companion": link.name, "change": change}
+            self.core.event_log.publish(Event("companion", link.vehicle, None, text, told))
 
     def _look_at_pins(self) -> None:
         """Connect anew where the pinned certificate is another one, or none: a companion whose certificate was removed

@@ -192,6 +192,7 @@ async def test_the_grounds_connection_ends_with_its_pin_of_the_companion(door: D
         ground._look_at_pins()
         await asyncio.sleep(0.1)
         assert link.is_up
+        await door.until(lambda: heard_of_keys(door))
         (door.ground / "companions" / "alpha.crt").unlink()
         await asyncio.sleep(0.1)
         assert link.is_up
@@ -201,6 +202,14 @@ async def test_the_grounds_connection_ends_with_its_pin_of_the_companion(door: D
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
+
+
+def heard_of_keys(door: Door) -> bool:
+    """The companion says that it cannot read its keys; True once that is an event of the ground, and nothing else."""
+    door.daemon.emit("companion", None, "no word of keys", change="rpc_open")
+    door.daemon.emit("companion", None, "companion.crt is missing", change="keys_kept")
+    heard = [(one.vehicle, one.text) for one in door.events if one.data.get("companion") and one.data["change"] != "up"]
+    return set(heard) == {("alpha", "companion alpha: companion.crt is missing")}
 
 
 async def test_a_client_without_a_certificate_is_refused(door: Door) -> None:
