@@ -61,7 +61,7 @@ OTHERS_S = 1.0
 """A body that was seen within this time may be the one whose markers are taken for another's."""
 
 MAX_SEEN = 64
-"""Names of rigid bodies that are listed."""
+"""Names of rigid bodies that are listed beside those of vehicles."""
 
 
 class Capture(Protocol):
@@ -169,7 +169,7 @@ class MocapFeed:
             self.bad_times += 1
             return
         for name, seen in frame.bodies.items():
-            if name in self._seen or len(self._seen) < MAX_SEEN:
+            if name in self._fed or name in self._seen or len(self._seen) < MAX_SEEN:
                 self._seen[name] = now
                 if seen is not None:
                     self._last_seen[name] = seen
