@@ -10,7 +10,7 @@ from typing import Any
 from skygcs.rpc import openrpc
 from skygcs.rpc.dispatch import Method
 
-TARGETS = ["string", "integer", "array of string or integer"]
+TARGETS = ["string", "integer", "(string or integer)[]"]
 """The type that the page calls `targets`."""
 
 
@@ -32,8 +32,13 @@ def choices(schema: dict[str, Any]) -> list[str]:
     if "enum" in schema:
         return [f'"{value}"' for value in schema["enum"]]
     if schema.get("type") == "array":
-        return [f"array of {kind(schema['items'])}" if "items" in schema else "array"]
+        return [list_of(kind(schema["items"])) if "items" in schema else "array"]
     return [str(schema.get("type", "any"))]
+
+
+def list_of(items: str) -> str:
+    """A list: `number[]`, `("a" or "b")[]`."""
+    return f"({items})[]" if " " in items else f"{items}[]"
 
 
 def description(param: dict[str, Any]) -> str:
@@ -55,7 +60,7 @@ def described(param: dict[str, Any]) -> tuple[str, str, str]:
 def shared(methods: Iterable[Method[Any]]) -> dict[tuple[str, str, str], str]:
     """Each parameter that many methods have -> its line."""
     found = Counter(described(param) for method in openrpc.document(methods)["methods"] for param in method["params"])
-    whole = {"targets": "string, integer, or array of string or integer"}
+    whole = {"targets": "string, integer or (string or integer)[]"}
     return {
         (name, type_name, text): line((name, whole.get(type_name, type_name), text))
         for (name, type_name, text), uses in found.items()

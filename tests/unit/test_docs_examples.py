@@ -176,6 +176,17 @@ def test_the_site_knows_how_each_block_begins(page: Path) -> None:
     assert [words for words in begins if not re.fullmatch(r'[a-z]+( title="[^"]+")?', words)] == []
 
 
+TABLE = re.compile(r"(?:^\|(?: |-).*\n)+", re.M)
+HEAD_AND_ROWS = re.compile(r"\|.*\n\|[ :|-]+\|\n\|.*")
+
+
+@each("page", PAGES)
+def test_every_table_is_whole(page: Path) -> None:
+    """An empty line ends a table: the rows below it are shown as text with bars."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    assert [table for table in TABLE.findall(f"{text}\n") if not HEAD_AND_ROWS.match(table)] == []
+
+
 def test_every_page_of_the_site_is_in_its_index() -> None:
     index = ROOT / "docs" / "index.md"
     links = [link.partition("#")[0] for link, _ in LINK.findall(index.read_text(encoding="utf-8"))]

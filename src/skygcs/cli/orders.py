@@ -153,7 +153,7 @@ def takeoff(
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm first if it is not armed.")] = True,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Although a required preflight is not passed, or another vehicle is in the way."),
+        typer.Option("--force", help="Without a required preflight, or with another vehicle in the way."),
     ] = False,
     wait: Wait = 0.0,
     json_output: OrderJson = None,

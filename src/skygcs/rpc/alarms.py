@@ -103,7 +103,7 @@ def alarms_list(context: Context, _: NoParams) -> JsonObject:
 
 
 def alarms_acknowledge(context: Context, params: AcknowledgeParams) -> JsonObject:
-    """Acknowledge alarms: a person has seen them. One whose condition is over leaves the list."""
+    """Acknowledge alarms. One whose condition is over leaves the list."""
     return {"acknowledged": context.services.alarms.acknowledge(params.numbers, params.by)}
 
 

@@ -189,15 +189,15 @@ class ControlState(Result):
 
 
 async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
-    """Fly vehicles by setpoints of skygcs, or leave them to their autopilots again.
+    """Fly vehicles by setpoints of skygcs, or end that.
 
-    A vehicle begins by staying where it is. A failure is undone.
+    A failure is undone.
     """
     return await command(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
 
 
 async def control_gains(context: Context, params: ControlGainsParams) -> JsonObject:
-    """Read the gains of the control law, or change some of them from the next tick on."""
+    """Read or change gains of the control law."""
     changes = params.changes()
     outcomes: JsonObject = {}
     if changes:

@@ -27,7 +27,7 @@ def _new_link_name(name: str) -> str:
 
 class LinkParams(MethodParams):
     name: LinkName
-    link: dict[str, Any] = Field(description="The link's table as in the fleet file, with its type.")
+    link: dict[str, Any] = Field(description="Its table as in the fleet file, with its type.")
 
 
 class LinkAddParams(LinkParams):
@@ -128,7 +128,7 @@ class CorrectionsStatus(Result):
 
 
 def links_list(context: Context, _: NoParams) -> list[JsonObject]:
-    """Every link: kind, state, bound vehicles, channels, and counters per channel and source."""
+    """Every link, with its channels and counters."""
     return context.services.links.status()
 
 
@@ -177,7 +177,7 @@ def corrections_send(context: Context, params: CorrectionsParams) -> JsonObject:
 
 
 def corrections_status(context: Context, _: NoParams) -> JsonObject:
-    """Corrections that were sent, what each radio did with them, and the fix of every vehicle."""
+    """Corrections that were sent, and the fix of every vehicle."""
     return context.services.corrections.status()
 
 

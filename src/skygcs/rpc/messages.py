@@ -74,14 +74,14 @@ class StreamParams(TargetsParams):
 
 class CommandParams(TargetsParams):
     targets: OrderTargets
-    command: NameOrId = Field(description='A MAV_CMD by number or name, e.g. "MAV_CMD_DO_SET_SERVO" or "DO_SET_SERVO".')
+    command: NameOrId = Field(description='A MAV_CMD by number or name, as "DO_SET_SERVO".')
     params: list[float | None] = Field(
         default_factory=list, max_length=7, description="param1 to param7; null is NaN (unset), missing ones are 0."
     )
     int_frame: NameOrId | None = Field(None, description="Send COMMAND_INT with this MAV_FRAME, by name or number.")
-    x: int | None = Field(None, description="COMMAND_INT's x as on the wire (latitude in 1e-7 degrees).")
-    y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
-    z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
+    x: int | None = Field(None, description="Its x: latitude in 1e-7 degrees.")
+    y: int | None = Field(None, description="Its y: longitude in 1e-7 degrees.")
+    z: float | None = Field(None, description="Its z: altitude in metres.")
     force: bool = Field(False, description="Send it without the checks of an order.")
 
     @model_validator(mode="after")
@@ -103,7 +103,7 @@ class SendParams(MethodParams):
     fields: dict[str, Any] = Field(
         default_factory=dict,
         max_length=MAX_FIELDS,
-        description="Field values by name; missing fields are 0, null is NaN.",
+        description="Values by name; missing ones are 0, null is NaN.",
     )
     target: Targets | None = Field(
         None, description='Vehicles or components, each with its ids filled in; "all": everyone.'

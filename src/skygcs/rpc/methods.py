@@ -61,7 +61,7 @@ class SubscriptionNumber(Result):
 
 
 def daemon_info(context: Context, _: NoParams) -> JsonObject:
-    """Version, process id, uptime, own MAVLink ids, dialect, fleet file; now_s, the clock of a request's deadline_s."""
+    """Version, process id, uptime, own MAVLink ids, dialect, fleet file; now_s: the clock of deadline_s."""
     return {**context.services.info(), "now_s": round(context.services.now(), 4)}
 
 
@@ -77,7 +77,7 @@ def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
 
 
 def recorder_status(context: Context, _: NoParams) -> JsonObject:
-    """The recording: its state, its file, and what could not be recorded."""
+    """The recording: state, file, and what was not recorded."""
     recorder = context.services.recorder
     return {"recording": False} if recorder is None else recorder.status()
 

@@ -97,11 +97,9 @@ class MissionStartParams(TargetsParams):
     arm: bool = Field(True, description="Arm first if it is not armed.")
     one_after_another: bool = Field(
         False,
-        description="The first by system id starts now, each next one when the one before is done or has landed.",
+        description="By system id, each when the one before is done.",
     )
-    force: bool = Field(
-        False, description="Although a required preflight is not passed, or another vehicle is in the way."
-    )
+    force: bool = Field(False, description="Without a required preflight, or with another vehicle in the way.")
 
 
 InTheWay = Annotated[bool, Field(description="Although another vehicle is in the way.")]
@@ -204,12 +202,12 @@ async def missions_start(context: Context, params: MissionStartParams) -> JsonOb
 
 
 def missions_end_turns(context: Context, params: NoParams) -> JsonObject:
-    """End missions one after another: the vehicle that flies goes on, those that wait do not start."""
+    """End the turns: the vehicle that flies goes on, others do not start."""
     return {"ended": context.services.fleet.turns.end("ended by an order")}
 
 
 async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
-    """Stop and hold position; missions.resume goes on with the current item."""
+    """Stop and hold position."""
     return await command(context, params.targets, VehicleActor.hold)
 
 
@@ -224,7 +222,7 @@ async def missions_set_current(context: Context, params: MissionItemParams) -> J
 
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
-    """Each vehicle's place in its mission, what it holds, and what is being transferred."""
+    """Each vehicle's place in its mission, and transfers."""
     reports, turns = [], context.services.fleet.turns
     for vehicle in resolve(context.services, params.targets):
         has_fence = "FENCE_STATUS" in context.services.dialect.by_name

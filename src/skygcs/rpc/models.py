@@ -82,13 +82,13 @@ OrderTargets = Annotated[Targets, Field(description='Vehicles, or components: "7
 NameOrId = Annotated[Any, PlainValidator(_name_or_id), WithJsonSchema({"anyOf": _SCALAR})]
 
 
-MessageName = Annotated[NameOrId, Field(description="A message of the dialect, by name (any case) or id.")]
+MessageName = Annotated[NameOrId, Field(description="By name (any case) or id.")]
 
 
-Lat = Annotated[float, Field(ge=-90, le=90, description="Latitude in degrees (WGS84).")]
+Lat = Annotated[float, Field(ge=-90, le=90, description="Latitude (WGS84).")]
 
 
-Lon = Annotated[float, Field(ge=-180, le=180, description="Longitude in degrees (WGS84).")]
+Lon = Annotated[float, Field(ge=-180, le=180, description="Longitude (WGS84).")]
 
 
 Enu = Annotated[

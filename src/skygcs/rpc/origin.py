@@ -14,11 +14,11 @@ from skygcs.rpc.models import Lat, Lon, MethodParams, NoParams, Outcomes, Result
 class OriginSetParams(MethodParams):
     lat_deg: Lat
     lon_deg: Lon
-    alt_amsl_m: float = Field(description="Metres above mean sea level; up is counted from here.")
+    alt_amsl_m: float = Field(description="Above mean sea level.")
     x_heading_deg: float | None = Field(
         None, ge=-360, le=360, description="Compass heading of the x axis; null: as it is, 90 (plain ENU) at first."
     )
-    force: bool = Field(False, description="Set it although a vehicle is farther than 20 km away.")
+    force: bool = Field(False, description="Although a vehicle is farther than 20 km away.")
 
 
 class OriginFromParams(TargetParams):
@@ -31,7 +31,7 @@ class OriginFromParams(TargetParams):
 class OriginPushParams(TargetsParams):
     home: bool = Field(
         False,
-        description="Set their homes there as well, to which all would return. The checks of a home.",
+        description="Set their homes there as well, to which all would return.",
     )
     force: bool = Field(False, description="Although it is armed; also a home in the air or beyond the goto limit.")
 
@@ -56,7 +56,7 @@ def origin_get(context: Context, _: NoParams) -> JsonObject:
 
 
 def origin_set(context: Context, params: OriginSetParams) -> JsonObject:
-    """Set the origin: every position is given in the new frame, and no vehicle moves. Kept until the daemon ends."""
+    """Set the origin until the daemon ends. No vehicle moves."""
     fleet = context.services.fleet
     heading_deg = params.x_heading_deg
     if heading_deg is None:
@@ -73,7 +73,7 @@ def origin_from_vehicle(context: Context, params: OriginFromParams) -> JsonObjec
 
 
 async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
-    """Send vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and read theirs back; armed only with force.
+    """Send vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and read theirs back.
 
     It moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only while it has none.
     """

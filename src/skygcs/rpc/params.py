@@ -59,7 +59,7 @@ class ParamSetParams(TargetsParams):
     )
     settle: bool = Field(
         True,
-        description="Read changed values again half a second later: a PX4 changes some after it took them.",
+        description="Read changed values again half a second later: a PX4 changes some.",
     )
     force: bool = Field(
         False,
@@ -415,7 +415,7 @@ class UndoLeft(Result):
 
 
 async def undo_list(context: Context, _: NoParams) -> JsonObject:
-    """Temporary changes of parameters that could not be undone."""
+    """Changes of parameters that could not be undone."""
     return await context.services.fleet.undo.left()
 
 
@@ -429,7 +429,7 @@ async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
 
 
 async def undo_drop(context: Context, params: UndoParams) -> JsonObject:
-    """Forget one of them; the parameters stay as they are."""
+    """Forget one of them."""
     await context.services.fleet.undo.drop(params.id)
     return {"dropped": params.id}
 

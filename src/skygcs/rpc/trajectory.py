@@ -121,7 +121,7 @@ def trajectory_pause(context: Context, params: TargetsParams) -> JsonObject:
 
 
 def trajectory_resume(context: Context, params: TargetsParams) -> JsonObject:
-    """Let paused vehicles go on from where they are on their paths, with all that started with them."""
+    """Let paused vehicles go on, with all that started with them."""
     fleet = context.services.fleet
     return as_json(fleet.trajectories.resume(fleet.resolve(params.targets)))
 
@@ -133,7 +133,7 @@ def trajectory_speed(context: Context, params: TrajectorySpeedParams) -> JsonObj
 
 
 def trajectory_abort(context: Context, params: TargetsParams) -> JsonObject:
-    """Stop vehicles on their paths for good, with all that started with them: they stay there, still under control."""
+    """Stop vehicles on their paths for good, with all that started with them; they stay under control."""
     fleet = context.services.fleet
     return as_json(fleet.trajectories.abort(fleet.resolve(params.targets)))
 
@@ -154,7 +154,7 @@ def trajectory_status(context: Context, params: ListParams) -> JsonObject:
 
 
 async def trajectory_paths(context: Context, params: TrajectoryPathsParams) -> JsonObject:
-    """The paths that are loaded and flown, as points; also the step of a plan that is under way."""
+    """The paths that are loaded and flown, as points."""
     actors = resolve(context.services, params.targets)
     key, paths = await context.services.fleet.trajectories.paths(actors, params.known)
     return {"key": key, "paths": paths}

@@ -36,7 +36,7 @@ class SystemComponent(ComponentEntry):
 class ArmParams(TargetsParams):
     force: bool = Field(
         False,
-        description="Although the autopilot's checks fail, or a required preflight is not passed.",
+        description="Although the autopilot's checks fail, or a required preflight.",
     )
     wait_s: float = Field(0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready.")
 
@@ -59,9 +59,7 @@ class ModeParams(TargetsParams):
 
 
 class TakeoffParams(TargetsParams):
-    height_m: float | None = Field(
-        None, gt=0, le=500, description="Metres above the ground it stands on; null: the fleet file's."
-    )
+    height_m: float | None = Field(None, gt=0, le=500, description="Above the ground; null: the fleet file's.")
     arm: bool = Field(True, description="Arm first if it is not armed.")
     wait_s: float = Field(0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready.")
     force: bool = Field(
@@ -98,12 +96,10 @@ class GotoParams(TargetsParams):
     enu_m: Enu | None = None
     yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
     force: bool = Field(
-        False, description="Although it is farther than the configured limit, or another vehicle is in the way."
+        False, description="Although it is beyond the configured limit, or another vehicle is in the way."
     )
-    same_place: bool = Field(False, description="Several vehicles: all to the same point, not in formation.")
-    together: Targets | None = Field(
-        None, description="Vehicles that the caller keeps apart from these: never in the way."
-    )
+    same_place: bool = Field(False, description="All to the same point, not in formation.")
+    together: Targets | None = Field(None, description="Vehicles that the caller keeps apart from these.")
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -137,8 +133,8 @@ class RenumberParams(TargetParams):
 class SetHomeParams(TargetsParams):
     lat_deg: Lat | None = None
     lon_deg: Lon | None = None
-    alt_amsl_m: float | None = Field(None, description="Metres above mean sea level; null: those of the home it has.")
-    force: bool = Field(False, description="Also in the air, and farther away than the configured limit.")
+    alt_amsl_m: float | None = Field(None, description="Above mean sea level; null: as its present home.")
+    force: bool = Field(False, description="Also in the air, and beyond the configured limit.")
 
     @model_validator(mode="after")
     def _place_or_none(self) -> Self:
@@ -181,7 +177,7 @@ async def vehicles_renumber(context: Context, params: RenumberParams) -> JsonObj
 
 
 def components_list(context: Context, _: NoParams) -> list[JsonObject]:
-    """Every component that was heard, by system; at most 32 of a system and 1024 in all."""
+    """Every component that was heard; at most 32 of a system and 1024 in all."""
     return context.services.fleet.components_status()
 
 
@@ -216,7 +212,7 @@ METHODS: tuple[Method[Context], ...] = (
         "vehicles.goto",
         GotoParams,
         VehicleActor.goto,
-        "Fly to a place, in degrees and height above home or in metres about the fleet's origin.",
+        "Fly to a place on earth, or in metres about the fleet's origin.",
     ),
     order_method(
         "vehicles.calibrate",

@@ -66,7 +66,7 @@ async def drills_end(context: Context, params: DrillEndParams) -> JsonObject:
 
 
 def drills_status(context: Context, _: NoParams) -> JsonObject:
-    """Faults that can be begun, vehicles that may have them, and the active ones."""
+    """Possible and active faults, and their vehicles."""
     status: dict[str, Any] = context.services.extensions["drills"].status()
     return status
 

@@ -65,7 +65,7 @@ def move(
     ] = 10.0,
     json_output: Json = False,
 ) -> None:
-    """Send the virtual leader to a place, or fly it with a velocity; without either it stays.
+    """Send the virtual leader to a place or along a velocity; without either it stays.
 
     Example: skygcs-cli formation move 20,30,12 --speed 1.5
     """

@@ -136,7 +136,7 @@ async def formation_start(context: Context, params: FormationStartParams) -> Jso
 
 
 def formation_move(context: Context, params: FormationMoveParams) -> JsonObject:
-    """Send the virtual leader to a place, or fly it with a velocity; without either it stays."""
+    """Send the virtual leader to a place or along a velocity; without either it stays."""
     keeper = _keeper(context)
     if params.to_enu_m is not None:
         speed_mps = keeper.config.speed_mps if params.speed_mps is None else params.speed_mps
@@ -162,7 +162,7 @@ def formation_stop(context: Context, params: NoParams) -> JsonObject:
 
 
 def formation_status(context: Context, params: NoParams) -> JsonObject:
-    """The formation: its leader, each member's distance from its place, and the least distance."""
+    """The formation, each member's distance from its place, and the least distance."""
     return shown(_keeper(context).status())
 
 

@@ -55,7 +55,7 @@ class PlanFlightParams(MethodParams):
     plan: str | None = Field(None, description="What plan.load answered; null: the plan that is loaded.")
     vehicles: dict[str, Target] | None = Field(
         None,
-        description="Names in the plan and the vehicles that fly them; those left out do not fly. null: all, by name.",
+        description="Names in the plan and their vehicles; others do not fly. null: all, by name.",
     )
     mode: Literal["position", "velocity", "attitude"] = Field("position", description="The control mode.")
     speed: SpeedFactor = Field(1.0, description="Multiple of the planned speed; certified with it.")
@@ -197,7 +197,7 @@ async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
 
 
 def plan_pause(context: Context, _: NoParams) -> JsonObject:
-    """Stop all on their ways, smoothly, by their common clock."""
+    """Stop all on their ways, smoothly."""
     return _done(plans_of(context.services).runner.pause())
 
 

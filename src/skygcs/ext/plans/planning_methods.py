@@ -133,7 +133,7 @@ class CertifyParams(MethodParams):
     space: SpaceParams | None = Field(
         None, description="fence, floor_m, ceiling_m, boxes, standing; metres of the frame."
     )
-    others: bool = Field(True, description="Vehicles that take no part are obstacles, where they were last heard.")
+    others: bool = Field(True, description="Other vehicles are obstacles, where they were last heard.")
     progress: bool = Field(
         False, description="Notifications plan.progress {job, what, done, total} until the answer, to this client."
     )
@@ -153,7 +153,7 @@ class PlanMakeParams(CertifyParams):
     paths: Annotated[dict[str, PathParams], Field(min_length=1, max_length=MAX_VEHICLES)] | None = Field(
         None, description="Or written paths by vehicle: points, and times_s and yaws_deg for each point or not at all."
     )
-    starts: PlacesByVehicle | None = Field(None, description="Initial positions. null: where the vehicles are now.")
+    starts: PlacesByVehicle | None = Field(None, description="null: where the vehicles are now.")
     exchangeable: bool = Field(False, description="Any vehicle may take any goal.")
     by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
@@ -236,9 +236,8 @@ class PlanCancelled(Result):
 async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
     """Search a certified plan for vehicles: to positions, into a formation, or along written paths. Nothing moves.
 
-    Starts are the measured positions, margins those of the fleet file and of what was measured. If some stand on the
-    ground, the plan begins with a climb, which is the floor unless space has one. Without a fence or ceiling in space
-    the control fences count.
+    If some stand on the ground, the plan begins with a climb. Without a fence or ceiling in space the control fences
+    count.
     """
     facts = _Facts(context.services, params)
     limits = _limits(params.limits)
