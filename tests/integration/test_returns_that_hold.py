@@ -69,7 +69,7 @@ async def test_one_that_cannot_come_by_it_is_given_up_at_once(tmp_path: Path) ->
         await gcs("vehicles.rtl", targets="all")
         holds = await gcs.until(lambda: gcs.sim("v1").mode == Px4Mode.RTL and abs(gcs.place("v1")[1]) < 0.5, 60.0)
         await gcs.until(
-            lambda: any("v1 holds at the end of its return" in t for t in gcs.texts(since, "command", "v3")), 20.0
+            lambda: any("v1 after a return that ends in a hold" in t for t in gcs.texts(since, "command", "v3")), 20.0
         )
         (text,) = [t for t in gcs.texts(holds, "command", "v3") if "does not return" in t]
         assert "skygcs-cli rtl v3" in text

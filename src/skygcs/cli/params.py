@@ -27,6 +27,7 @@ from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import MAX_CHARS, Entry, Kind, ParamFile, Rounding, of_vehicle, parse, write
 from skygcs.errors import ConfigError, RefusedError
 from skygcs.rpc.client import Client
+from skygcs.spelling import enumerated
 
 params = typer.Typer(
     help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True
@@ -638,9 +639,9 @@ def plan_lines(vehicle: str, made: ApplyPlan) -> Iterator[str]:
     for change in made.changes:
         yield f"  {change.name:<{NAME_CHARS}}  {_value(change.before)} -> {_value(change.value)}"
     if made.skipped:
-        yield f"  left alone (see --include): {_named(name for name, _ in made.skipped)}"
+        yield f"  left alone (see --include): {enumerated((name for name, _ in made.skipped), MAX_NAMED)}"
     if made.unknown:
-        yield f"  the vehicle has no {_named(made.unknown)}"
+        yield f"  the vehicle has no {enumerated(made.unknown, MAX_NAMED)}"
         yield "  (ArduPilot has some parameters only while their feature is on: switch it on, then apply again)"
     if made.changes:
         yield "  what takes effect only after a reboot is said of each parameter that is set"
@@ -656,12 +657,6 @@ def bar(event: Mapping[str, Any]) -> str:
     left = "" if data.get("remaining_s") is None else f"  {data['remaining_s']:.0f} s left"
     counted = f"{data['received']}/{data['count']}"
     return f"{event['vehicle']}  [{'#' * full}{'.' * (BAR_CELLS - full)}] {counted}{left}"
-
-
-def _named(names: Iterable[str]) -> str:
-    listed = list(names)
-    more = len(listed) - MAX_NAMED
-    return ", ".join(listed[:MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _side(value: float | None) -> str:

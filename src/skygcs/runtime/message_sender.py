@@ -17,6 +17,7 @@ from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
+from skygcs.spelling import enumerated
 
 SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"})
 
@@ -175,8 +176,7 @@ class MessageSender:
         ]
         if not others:
             return None
-        shown = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
-        return f"{info.name} has no target field: on the same link {shown} got it as well"
+        return f"{info.name} has no target field: on the same link {enumerated(others, 10)} got it as well"
 
     def _why_not(self, *sysids: int) -> str:
         gates = self._hub.send_gates

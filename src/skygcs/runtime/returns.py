@@ -68,6 +68,7 @@ from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, in_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
+from skygcs.spelling import enumerated
 
 PERIOD_S = 0.5
 
@@ -310,7 +311,8 @@ class Returns:
         actor = waits.actor
         if (why := why_not_held(actor.vehicle)) is not None:  # it began after the decision, and must not be stopped
             return self._spared(waits, why)
-        text = f"it holds until {_named(waits.told)} is out of its way home, and returns then{waits.hint}"
+        are = "is" if len(waits.told) == 1 else "are"
+        text = f"it holds until {enumerated(waits.told)} {are} out of its way home, and returns then{waits.hint}"
         goes_on = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
         if waits.has_waited and goes_on:  # by the order before
             waits.step = Step.WAITS
@@ -570,8 +572,8 @@ class Returns:
         lat_deg, lon_deg, alt_amsl_m = self._frame.to_geodetic(*one.here[:2], goal_m)
         home_amsl_m = actor.vehicle.home_alt_amsl_m()
         over = [name for name in waits.told if name not in {other.actor.name for other in self._waiting.values()}]
-        above = f"above {_named(over)}, and returns then" if over else "above the way home of others, and waits there"
-        self._report(actor, f"it climbs by {goal_m - one.here[2]:.0f} m, {above}")
+        above = f"{enumerated(over)}, and returns then" if over else "the way home of others, and waits there"
+        self._report(actor, f"it climbs by {goal_m - one.here[2]:.0f} m, above {above}")
         height_m = alt_amsl_m - (0.0 if home_amsl_m is None else home_amsl_m)
         where: Where = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "force": True}
         limit_m = actor.config.goto_limit_m
@@ -634,7 +636,8 @@ class Returns:
                 self._report(actor, f"{text}: it lands where it is", given_up=True)
                 self._tasks.start(self._land(waits), f"landing of {actor.name}", waits.serial)
             elif waits.at_end == "land":
-                text += f", and {_named(below)} is below it: it holds, and does not land"
+                are = "is" if len(below) == 1 else "are"
+                text += f", and {enumerated(below)} {are} below it: it holds, and does not land"
                 self._report(actor, text, given_up=True)
             else:
                 todo = f"send it home in spite of that (skygcs-cli rtl {actor.name}), elsewhere, or land it"
@@ -642,9 +645,11 @@ class Returns:
 
     def _why_given_up(self, names: Sequence[str]) -> str:
         staying = {self._members[key].name for key in self._staying}
-        does = "holds at the end of its return, and stays" if staying.intersection(names) else "stays"
-        low = f", and {_named(self._fenced)} would have to climb out of its own fence" if self._fenced else ""
-        return f"{_named(names)} {does} in its way home{low}"
+        stays = "stays" if len(names) == 1 else "stay"
+        held = [name for name in names if name in staying]
+        at_end = f" ({enumerated(held)} after a return that ends in a hold)" if held else ""
+        low = f", and {enumerated(self._fenced)} would have to climb out of its own fence" if self._fenced else ""
+        return f"{enumerated(names)} {stays} in its way home{at_end}{low}"
 
     def _below(self, actor: VehicleActor) -> list[str]:
         """Name those onto which it would come down where it is, in the air or on the ground."""
@@ -729,10 +734,6 @@ def _frame(vehicle: Vehicle) -> EnuFrame:
     position = vehicle.telemetry("position")
     assert position is not None
     return EnuFrame(Origin(position["lat_deg"], position["lon_deg"], 0.0))
-
-
-def _named(names: Sequence[str]) -> str:
-    return " and ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 async def _param(actor: VehicleActor, param: HeightParam) -> float | None:

@@ -359,7 +359,7 @@ def test_a_stop_holds_by_default(fleet: Fleet) -> None:
 def test_a_script_kills_nothing_without_the_word_for_as_many_as_it_hits(fleet: Fleet) -> None:
     for words in ([], ["--confirm", "kill-1"]):
         said = fleet.run("stop", "all", "kill", *words, code=FAILED)
-        assert "alpha, bravo, carol" in said and "kill-3" in said
+        assert "alpha, bravo and carol" in said and "kill-3" in said
     assert not any(v.orders for v in fleet.daemon.fleet.vehicles.values())
     assert fleet.order("stop", "all", "kill", "--confirm", "kill-3") == ("stop", {"action": "kill"})
 

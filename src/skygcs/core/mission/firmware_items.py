@@ -31,6 +31,7 @@ from skygcs.core.mission.item import (
     UNSET_INT,
     MissionItem,
 )
+from skygcs.spelling import enumerated
 
 Family = Literal["px4", "ardupilot"]
 
@@ -443,7 +444,7 @@ def grouped(changes: tuple[ItemChange, ...]) -> list[str]:
     items: dict[str, list[int]] = {}
     for change in changes:
         items.setdefault(change.text, []).append(change.item)
-    return [f"item{'s' if len(numbers) > 1 else ''} {_listed(numbers)}: {text}" for text, numbers in items.items()]
+    return [f"item{'s' if len(at) > 1 else ''} {enumerated(at, 8)}: {text}" for text, at in items.items()]
 
 
 def convert(item: MissionItem, family: Family, names: Mapping[int, str]) -> tuple[MissionItem | None, list[str]]:
@@ -657,10 +658,3 @@ def _name(command: int, names: Mapping[int, str]) -> str:
 
 def _params(numbers: list[int]) -> str:
     return " and ".join(f"param{n}" for n in numbers)
-
-
-def _listed(numbers: list[int], most: int = 8) -> str:
-    shown = [str(n) for n in numbers[:most]]
-    if len(numbers) > most:
-        return ", ".join(shown) + f" and {len(numbers) - most} more"
-    return " and ".join(filter(None, (", ".join(shown[:-1]), shown[-1])))

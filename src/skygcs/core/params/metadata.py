@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Value, float32, value_text
+from skygcs.spelling import enumerated
 
 MAX_TABLE_BYTES = 4_000_000
 """A table is not larger: ArduPilot's, of all vehicles, has a tenth of it."""
@@ -84,8 +85,7 @@ class ParamMetadata:
         if not numbered or self.range_text() or self._listed(value) is not None:
             return ""
         known = [f"{value_text(v)} {text}" for v, text in self.values.items()]
-        more = f" and {len(known) - MAX_NAMED} more" if len(known) > MAX_NAMED else ""
-        return f"{value_text(value)} has no known meaning; there are: {', '.join(known[:MAX_NAMED])}{more}"
+        return f"{value_text(value)} has no known meaning; there are: {enumerated(known, MAX_NAMED)}"
 
     def meaning(self, value: Value) -> str:
         """The meaning of a value, or the bits of a mask that are set; empty if neither is known."""

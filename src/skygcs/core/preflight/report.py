@@ -8,6 +8,7 @@ from enum import IntEnum, StrEnum
 from typing import Any
 
 from skygcs.core.mavlink.param_encoding import Value
+from skygcs.spelling import listed
 
 
 class Verdict(StrEnum):
@@ -113,8 +114,7 @@ class PreflightReport:
         wrong = self.complaints
         if not wrong:
             return f"ready: {sum(f.verdict is Verdict.PASS for f in self.findings)} checks passed"
-        reported = "; ".join(f.text for f in wrong[:most])
-        return reported + (f"; and {len(wrong) - most} more" if len(wrong) > most else "")
+        return listed([f.text for f in wrong], most)
 
     def as_dict(self) -> Mapping[str, Any]:
         return {

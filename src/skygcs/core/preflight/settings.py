@@ -25,6 +25,7 @@ from skygcs.core.vehicle.offboard_entry import (
 )
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL
 from skygcs.number_text import rounded
+from skygcs.spelling import listed
 
 LOST_PERIODS = 3
 """Setpoints that may be lost in a row before the vehicle concludes that no more will come."""
@@ -389,9 +390,8 @@ def ranges(facts: PreflightFacts, wanted: Expectations) -> Finding:
     wrong = {name: why for name, why in facts.outside.items() if name not in wanted.params}
     if not wrong:
         return passed(f"{facts.judged} parameters are in their ranges")
-    text = "; ".join(f"{name}: {why}" for name, why in list(wrong.items())[:MAX_OUTSIDE])
-    more = f"; and {len(wrong) - MAX_OUTSIDE} more" if len(wrong) > MAX_OUTSIDE else ""
-    return failed(text + more, "correct it; a value that is meant is named in [defaults.preflight.params] of the file")
+    text = listed([f"{name}: {why}" for name, why in wrong.items()], MAX_OUTSIDE)
+    return failed(text, "correct it; a value that is meant is named in [defaults.preflight.params] of the file")
 
 
 def parameter(name: str, rule: Rule) -> Callable[[PreflightFacts, Expectations], Finding]:

@@ -35,6 +35,7 @@ from skygcs.core.geo import Origin, distance_m
 from skygcs.core.params.names import EFFECTS, LOCKED, ParamRole, role_of
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryLimits
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.spelling import enumerated
 
 SAME_PLACE_M = 1.0
 """Two reports of one home differ by less: GLOBAL_POSITION_INT and HOME_POSITION round to centimetres, and an ArduCopter
@@ -235,7 +236,7 @@ class FlightLock:
     @property
     def flight(self) -> str:
         """The flight in words, for a refusal."""
-        names = _named([member.name for member in self.members])
+        names = enumerated(member.name for member in self.members)
         match self.holder:
             case Holder.PLAN:
                 return f"plan {self.title} is flown by {names}"
@@ -263,7 +264,7 @@ class FlightLock:
                 return None if origin == self.origin else "all places of a flight count from the origin"
             case LinkLoss(link, alone):
                 names = [member.name for member in self.members if member.key in alone]
-                return f"{link} is the only link to {_named(names)}" if names else None
+                return f"{link} is the only link to {enumerated(names)}" if names else None
             case SigningClockReset():
                 return "a vehicle that has heard a later time would not hear us any more"
         # changes of one vehicle
@@ -341,8 +342,3 @@ def widens(before: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
             case _:
                 return False
     return True
-
-
-def _named(names: list[str]) -> str:
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

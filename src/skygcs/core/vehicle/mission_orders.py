@@ -38,6 +38,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
+from skygcs.spelling import listed
 
 CURRENT_S = 6.0
 """MISSION_CURRENT comes at 0.2 to 1 Hz by default."""
@@ -152,9 +153,7 @@ def require_uploadable(
         raise RefusedError(f"it may be under way, and outside of the new fence at once; {stops}, or {FORCE_HINT}")
     wrong = [f for f in errors(findings(vehicle, plan, dialect, limit_m)) if f.kind in kinds]
     if wrong:
-        named = "; ".join(map(str, wrong[:MAX_FINDINGS]))
-        more = f"; and {len(wrong) - MAX_FINDINGS} more" if len(wrong) > MAX_FINDINGS else ""
-        raise RefusedError(f"{named}{more}; {FORCE_HINT}")
+        raise RefusedError(f"{listed(list(map(str, wrong)), MAX_FINDINGS)}; {FORCE_HINT}")
 
 
 def require_clearable(vehicle: Vehicle, now: float, kinds: tuple[MissionType, ...], *, force: bool) -> None:

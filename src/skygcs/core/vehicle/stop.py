@@ -20,6 +20,7 @@ from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import require_live
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.spelling import enumerated
 
 Action = Literal["hold", "land", "kill"]
 
@@ -62,6 +63,6 @@ def require_confirmed(action: str, vehicles: Mapping[str, str | None], confirm: 
     # duplicates first: they are the reason for the word
     names = sorted(vehicles, key=lambda name: vehicles[name] is None)
     named = [name if (where := vehicles[name]) is None else f"{name} (two vehicles: {where})" for name in names]
-    who = ", ".join(named[:MAX_NAMES]) + (f" and {len(named) - MAX_NAMES} more" if len(named) > MAX_NAMES else "")
     wrong = "" if confirm is None else f", not {confirm[:40]!r}"
-    raise RefusedError(f"{action} stops the motors of {who}, which will fall if flying; confirm with {word!r}{wrong}")
+    text = f"{action} stops the motors of {enumerated(named, MAX_NAMES)}, which will fall if flying"
+    raise RefusedError(f"{text}; confirm with {word!r}{wrong}")

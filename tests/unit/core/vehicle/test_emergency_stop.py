@@ -57,7 +57,7 @@ def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
     names = dict.fromkeys(["alpha", "bravo"])
     stop.require_confirmed("land", names, None)
     stop.require_confirmed("kill", names, "kill-2")
-    with pytest.raises(RefusedError, match=r"alpha, bravo, .* confirm with 'kill-2'$"):
+    with pytest.raises(RefusedError, match=r"alpha and bravo, .* confirm with 'kill-2'$"):
         stop.require_confirmed("kill", names, None)
     for wrong in ("kill-1", "kill", "yes", "KILL-2", ""):
         with pytest.raises(RefusedError, match="not '"):
@@ -70,7 +70,7 @@ def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
 def test_a_duplicate_id_counts_twice_and_its_links_are_named(action: str) -> None:
     where = "on udp (10.0.0.5:14550) and on udp (10.0.0.9:14550)"
     vehicles = {"alpha": None, "bravo": where}
-    with pytest.raises(RefusedError, match=rf"bravo \(two vehicles: .*10\.0\.0\.9.*alpha, .* '{action}-3'$"):
+    with pytest.raises(RefusedError, match=rf"bravo \(two vehicles: .*10\.0\.0\.9.*and alpha, .* '{action}-3'$"):
         stop.require_confirmed(action, vehicles, None)
     with pytest.raises(RefusedError, match=f"not '{action}-2'"):
         stop.require_confirmed(action, vehicles, f"{action}-2")

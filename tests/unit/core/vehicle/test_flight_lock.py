@@ -79,7 +79,7 @@ def test_a_change_waits_for_the_end_unless_it_touches_nothing(change: Change, wh
     else:
         assert refusal is not None
         assert re.search(why, refusal)
-        assert refusal.endswith("plan show is flown by alpha, bravo: `skygcs-cli plan abort` first")
+        assert refusal.endswith("plan show is flown by alpha and bravo: `skygcs-cli plan abort` first")
 
 
 @each(

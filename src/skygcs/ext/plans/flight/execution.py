@@ -67,6 +67,7 @@ from skygcs.ext.plans.flight.plan_states import (
     PlanState,
 )
 from skygcs.ext.plans.flight.sights import ClockProgress, Departure, Measurement, Pair, Tubes, pairs_near, pairs_text
+from skygcs.spelling import enumerated
 
 FAR = 2.0
 """Tubes away from its place a vehicle is in trouble at once."""
@@ -236,7 +237,7 @@ class Execution:
         if self.state is PlanState.ARMING:
             # modes first: of 14 vehicles on one slow radio the first would be armed seconds before the last, and a PX4
             # that has not taken off 10 s later disarms (COM_DISARM_PRFLT)
-            self._report(f"arming {_named(self.grounded)}")
+            self._report(f"arming {enumerated(self.grounded)}")
             self.waits_for = self.grounded
             return [Order(OrderKind.MODE, self.grounded)]
         return self._engage()
@@ -252,7 +253,7 @@ class Execution:
         """Go on where it stands, with everybody at its place. Raises RefusedError."""
         self.require_resumable()
         if self.left:
-            raise RefusedError(f"{_named(tuple(self.left))} left: it takes a new certificate")
+            raise RefusedError(f"{enumerated(tuple(self.left))} left: it takes a new certificate")
         self._watch.clear()
         self._enter(STATE_OF[self.step.kind], "going on")
         return [Order(OrderKind.GO_ON)]
@@ -303,7 +304,7 @@ class Execution:
         if self.state is not PlanState.LANDING or self._rounds is not None:
             return []
         if others:
-            text = f"{_named(others)}: flown by a pilot or lost, and not landed; `land` lands one all the same"
+            text = f"{enumerated(others)}: flown by a pilot or lost, and not landed; `land` lands one all the same"
             self._report(text, others[0])
         self._rounds = [tuple(names) for names in rounds if names]
         self._done.clear()
@@ -428,7 +429,7 @@ class Execution:
             return []
         if not one_by_one:
             several = len(self.grounded) > 1
-            self._enter(PlanState.TAKEOFF, f"{_named(self.grounded)} {'take off' if several else 'takes off'}")
+            self._enter(PlanState.TAKEOFF, f"{enumerated(self.grounded)} {'take off' if several else 'takes off'}")
         self.waits_for = self.grounded
         return [Order(OrderKind.TAKEOFF, self.grounded if self._together else (name,))]
 
@@ -467,7 +468,7 @@ class Execution:
 
     def _engage(self) -> list[Order]:
         what = "sending {} to their places" if self.by.own_way else "taking {} under control"
-        self._enter(PlanState.ENGAGING, what.format(_named(self.names)))
+        self._enter(PlanState.ENGAGING, what.format(enumerated(self.names)))
         self.waits_for = self.names
         return [Order(OrderKind.ENGAGE, self.names)]
 
@@ -585,7 +586,7 @@ class Execution:
         if took_s < self.step.duration_s + LEG_S or not self.waits_for:
             return []
         name = self.waits_for[0]
-        return self._stop(name, f"{_named(self.waits_for)} did not fly its leg in {took_s:.0f} s", sights)
+        return self._stop(name, f"{enumerated(self.waits_for)} did not fly its leg in {took_s:.0f} s", sights)
 
     def _barrier_trouble(self, now: float, sights: Mapping[str, Measurement]) -> list[Order]:
         if self._watch.barrier_since is None:
@@ -594,7 +595,7 @@ class Execution:
         if waited_s < BARRIER_S:
             return []
         name = self.waits_for[0]
-        return self._stop(name, f"{_named(self.waits_for)} did not come to its place in {waited_s:.0f} s", sights)
+        return self._stop(name, f"{enumerated(self.waits_for)} did not come to its place in {waited_s:.0f} s", sights)
 
     # -- trouble
 
@@ -662,10 +663,10 @@ class Execution:
         gone = [n for n in self._rounds[0] if not sights[n].on_ground and (sights[n].forgotten or sights[n].piloted())]
         why = "was forgotten" if gone and sights[gone[0]].forgotten else "was taken by its pilot"
         if gone and len(self._rounds) > 1:
-            return self._certify_anew(f"{_named(gone)} {why} while it landed", gone[0])
+            return self._certify_anew(f"{enumerated(gone)} {why} while it landed", gone[0])
         if all(sights[n].on_ground or n in gone for n in self._rounds[0]):
             if gone:
-                self._report(f"{_named(gone)} {why} while it landed", gone[0])
+                self._report(f"{enumerated(gone)} {why} while it landed", gone[0])
             del self._rounds[0]
             return self._next_round([n for n in self.names if sights[n].piloted()])
         return []
@@ -677,8 +678,8 @@ class Execution:
             return []
         taken = [name for name in self._rounds[0] if name in piloted]
         if taken:
-            return self._certify_anew(f"{_named(taken)} was taken by its pilot before it was to land", taken[0])
-        self._report(f"{_named(self._rounds[0])} land" + ("s" if len(self._rounds[0]) == 1 else ""))
+            return self._certify_anew(f"{enumerated(taken)} was taken by its pilot before it was to land", taken[0])
+        self._report(f"{enumerated(self._rounds[0])} land" + ("s" if len(self._rounds[0]) == 1 else ""))
         return [Order(OrderKind.LAND, self._rounds[0])]
 
     def _certify_anew(self, text: str, name: str) -> list[Order]:
@@ -697,9 +698,3 @@ class Execution:
 
     def _report(self, text: str, vehicle: str | None = None, pairs: tuple[Pair, ...] = ()) -> None:
         self.changes.append(PlanChange(self.state, text, vehicle, pairs))
-
-
-def _named(names: Sequence[str]) -> str:
-    """At most five of them."""
-    more = len(names) - 5
-    return ", ".join(names[:5]) + (f" and {more} more" if more > 0 else "")

@@ -27,6 +27,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.trajectory.timing import SAME_PLACE_M
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight import remedies
+from skygcs.spelling import enumerated
 
 
 class Guidance(StrEnum):
@@ -69,7 +70,7 @@ def choose(by: str, *, timed: bool, own_companion: Mapping[str, bool], not_strea
     if by == Guidance.ONBOARD and len(without) < len(own_companion):
         if without:
             raise RefusedError(
-                f"{_named(without)} {'has' if len(without) == 1 else 'have'} no companion that flies it "
+                f"{enumerated(without)} {'has' if len(without) == 1 else 'have'} no companion that flies it "
                 f'(control.at = "companion"): `{(remedies.by_setpoints() if timed else remedies.by_goto()).command}`'
             )
         return Choice(Guidance.ONBOARD, "as asked for; the companions have the trajectories")
@@ -98,11 +99,6 @@ def choose(by: str, *, timed: bool, own_companion: Mapping[str, bool], not_strea
     if len(without) < len(own_companion):
         return Choice(Guidance.SETPOINTS, f"some are flown by their companions, although {name}: {why}")
     return Choice(Guidance.GOTO, f"{name}: {why}")
-
-
-def _named(names: list[str]) -> str:
-    more = len(names) - 5
-    return ", ".join(names[:5]) + (f" and {more} more" if more > 0 else "")
 
 
 # --- margins of legs that an autopilot flies by itself ----------------------------------------------------------------
