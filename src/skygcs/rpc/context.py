@@ -192,7 +192,8 @@ def order_method(
     """
 
     async def handler(context: Context, given: TargetsParams) -> JsonObject:
-        return await command(context, given.targets, order, **given.arguments())
+        give = context.services.fleet.orders.command_all
+        return as_json(await give(given.targets, order, reports=context.reports, **given.arguments()))
 
     handler.__doc__ = description
     ends_flight = order in CARRIED_ON
