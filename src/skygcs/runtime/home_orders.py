@@ -27,7 +27,8 @@ NO_USE = frozenset({"refused", "unsupported", "lost", "cancelled"})
 
 async def push_origin(actor: VehicleActor, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
     """Send the fleet's origin to the vehicle; with ``home`` also make it the home. When armed only with ``force``."""
-    return await actor.outcomes.track("origin", _pushed(actor, origin, home, force))
+    with actor.outcomes.tracked("origin") as ended:
+        return ended(await _pushed(actor, origin, home, force))
 
 
 async def _pushed(actor: VehicleActor, origin: Origin, home: bool, force: bool) -> Outcome:

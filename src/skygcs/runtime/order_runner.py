@@ -143,7 +143,8 @@ class OrderRunner:
 
     async def run(self, order: str, planner: Planner) -> Outcome:
         """Run a simple order and report its outcome."""
-        return await self._outcomes.track(order, self.attempt(planner))
+        with self._outcomes.tracked(order) as ended:
+            return ended(await self.attempt(planner))
 
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """`run`, repeated until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle gives a
@@ -151,8 +152,8 @@ class OrderRunner:
         moves = order in MOVING
         self._waiting += moves
         try:
-            with numbered():
-                return await self._outcomes.track(order, self._tries(order, planner, wait_s))
+            with numbered(), self._outcomes.tracked(order) as ended:
+                return ended(await self._tries(order, planner, wait_s))
         finally:
             self._waiting -= moves
             self._order_ended.set()
@@ -327,14 +328,15 @@ class OrderRunner:
         If its caller is cancelled, or `wind_down` is called, during a step that only prepares later ones (arming for a
         take-off), that step is undone. Once the last step has begun nothing is undone: the vehicle may be flying by it.
         """
+        carry_out = self._steps if all(step.undo is None for step in plan.steps[:-1]) else self._undoably
         if plan.order not in MOVING:
-            return await self._finish_or_undo(_PlanInProgress(plan, self.ledger.number, clearance, self.hands()))
+            return await carry_out(_PlanInProgress(plan, self.ledger.number, clearance, self.hands()))
         self._newest, mode, ends_flight = plan, self._vehicle.custom_mode, plan.order in ENDING
         self._commands.supersede(_commands(plan), ends_flight=ends_flight)
         number = self.ledger.begins(plan.order, ORDER_SERIAL.get() or OWN, ends_flight=ends_flight)
         run, ended = _PlanInProgress(plan, number, clearance, self.hands()), None
         try:
-            ended = await self._finish_or_undo(run)
+            ended = await carry_out(run)
         finally:
             self.ledger.ended(number, ended, changed=any(map(_sets_mode, run.done)))
             self._order_ended.set()
@@ -343,10 +345,8 @@ class OrderRunner:
             self.on_carried_out(plan)
         return outcome
 
-    async def _finish_or_undo(self, run: _PlanInProgress) -> Outcome:
-        """Carry out the steps of a plan; those that can be undone in a task of their own, which outlives the caller."""
-        if all(step.undo is None for step in run.plan.steps[:-1]):
-            return await self._steps(run)
+    async def _undoably(self, run: _PlanInProgress) -> Outcome:
+        """`_steps` in a task of its own, which outlives the caller and undoes them."""
         if self._ending:
             return Outcome.refused("skygcs is shutting down")
         task = self._loop.create_task(self._steps(run), name=f"{self._vehicle.name} {run.plan.order}")
