@@ -17,7 +17,7 @@ from itertools import chain
 from pathlib import Path
 
 from skygcs.core.params.metadata import ParamMetadata, decode, merged, table
-from skygcs.core.params.metadata_files import of_ardupilot, of_px4
+from skygcs.core.params.metadata import of_ardupilot, of_px4
 
 TABLES = Path(__file__).resolve().parent / "src" / "skygcs" / "core" / "params"
 READERS = {"px4": of_px4, "ardupilot": of_ardupilot}

@@ -191,7 +191,7 @@ class WorkGate:
         self.counters: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self._resolve = resolve
         self._outcomes: dict[Work, asyncio.Future[Any]] = {}
-        """Of those that are carried out."""
+        """By call that is carried out."""
 
     def stats(self) -> dict[str, Any]:
         """JSON-able: the orders to single vehicles that are in flight, and `COUNTED`."""

@@ -15,12 +15,12 @@ from dataclasses import replace
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
-from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import arms, firmware_name
 from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
 from skygcs.core.vehicle.order_ledger import REFUSALS, OrderLedger
 from skygcs.core.vehicle.order_plan import VERIFY_S, Expectation, GoesThere, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.orders import todo_for
 from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
 from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle

@@ -11,8 +11,17 @@ from skygcs.core.mavlink.param_encoding import value_text
 from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, RTL_LAND_DELAY, HeightParam, ReturnEnd
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.preflight.expectations import Expectations, Rule
-from skygcs.core.preflight.facts import PreflightFacts
-from skygcs.core.preflight.report import Finding, Fix, Severity, Verdict, failed, passed, skipped, unknown
+from skygcs.core.preflight.report import (
+    Finding,
+    Fix,
+    PreflightFacts,
+    Severity,
+    Verdict,
+    failed,
+    passed,
+    skipped,
+    unknown,
+)
 from skygcs.core.vehicle.offboard_entry import (
     BY_STICKS,
     FALLS,

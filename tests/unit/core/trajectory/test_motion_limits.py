@@ -6,16 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.trajectory import (
-    MotionLimits,
-    Piece,
-    Trajectory,
-    motion_peaks,
-    path_within,
-    require_within,
-    within_at_speed,
-)
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, motion_peaks, require_within, within_at_speed
 from skygcs.core.trajectory.piecewise import derivative, error_bound, from_power, halves, product, to_power
+from skygcs.core.trajectory.timing import path_within
 from skygcs.errors import TrajectoryError
 from support.examples import examples
 from support.table import each
