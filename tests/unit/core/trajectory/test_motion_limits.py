@@ -91,8 +91,6 @@ def test_limits_name_what_where_and_how_much() -> None:
     with pytest.raises(TrajectoryError, match=r"piece 2, up: descent rate of 2 m/s at 1 s; the limit is 1\.5 m/s"):
         require_within(sinking, MotionLimits())
     require_within(sinking, MotionLimits(descent_mps=2.0))
-    with pytest.raises(TrajectoryError, match="descent rate of 3 m/s"):
-        require_within(sinking, MotionLimits(descent_mps=2.0), speed_factor=1.5)
 
 
 @each("value", [0.0, -1.0, math.nan, 1e9])
