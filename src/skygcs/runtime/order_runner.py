@@ -398,7 +398,8 @@ class OrderRunner:
             if self._known_unsupported(step, plan):
                 queue[:0] = step.instead
                 continue
-            outcome = await self._persist(step, run)
+            began = self._loop.time()
+            outcome = await self._persist(step, run, began, await self._step(step, run))
             # ended by its caller or by the shutdown meanwhile
             if run.ended() and number == self.ledger.number:
                 run.done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
@@ -459,21 +460,22 @@ class OrderRunner:
         answers = model_of(self._vehicle, self._loop.time()).answers
         return answers.get(step.command.command) == UNSUPPORTED
 
-    async def _persist(self, step: Step, run: _PlanInProgress) -> Outcome:
-        """Execute one step; if the plan persists, repeat it while no answer comes, as it may not have been received."""
-        plan, started, attempts = run.plan, self._loop.time(), 0
+    async def _persist(self, step: Step, run: _PlanInProgress, began: float, outcome: Outcome) -> Outcome:
+        """See that the vehicle does what a step, which ``began`` then, asked of it; if the plan persists, repeat it
+        while no answer comes, as it may not have been received."""
+        plan, attempts = run.plan, 0
         while True:
-            outcome = await self._step(step, run)
             if plan.order in MOVING and plan.order != "goto":
                 self.sent_before_at = self._loop.time()
             if outcome.ok and step.proof is not None:
                 outcome = await self._proved(step, step.proof, run, outcome)
             attempts += outcome.attempts
-            elapsed_s = self._loop.time() - started
+            elapsed_s = self._loop.time() - began
             newer = run.number != self.ledger.number and not plan.final
             if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
                 return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
             self._outcomes.report_progress(plan.order, None)
+            outcome = await self._step(step, run)
 
     async def _step(self, step: Step, run: _PlanInProgress) -> Outcome:
         """Send the command of a step, or its message, and wait until the vehicle shows the result."""
