@@ -16,8 +16,7 @@ from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
-from skygcs.core.params.metadata import ParamMetadata, decode, merged, table
-from skygcs.core.params.metadata_files import of_ardupilot, of_px4
+from skygcs.core.params.metadata import ParamMetadata, decode, merged, of_ardupilot, of_px4, table
 
 TABLES = Path(__file__).resolve().parent / "src" / "skygcs" / "core" / "params"
 READERS = {"px4": of_px4, "ardupilot": of_ardupilot}

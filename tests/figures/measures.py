@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 
-from support.source_trees import SRC, tree_of
+from support.source_trees import SRC, source_files, tree_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = SRC / "web" / "page" / "src"
@@ -36,7 +36,7 @@ def code_line_numbers(text: str) -> list[int]:
 def code_lines() -> dict[str, tuple[int, int]]:
     """(code lines, files) by room: the folder below skygcs, below ext one for each extension."""
     rooms: dict[str, tuple[int, int]] = {}
-    for path in sorted(SRC.rglob("*.py")):
+    for path in source_files():
         parts = path.relative_to(SRC).parts
         room = (
             "." if len(parts) == 1 else "/".join(parts[: min(len(parts) - 1, 2 if parts[0] in ("core", "ext") else 1)])
@@ -59,7 +59,7 @@ def equal_runs() -> list[tuple[str, str]]:
     """Pairs of places in src whose next `EQUAL_LINES` lines of code are equal, each run once, by its first lines."""
     places: dict[tuple[str, ...], list[tuple[Path, int]]] = defaultdict(list)
     numbers: dict[Path, list[int]] = {}
-    for path in sorted(SRC.rglob("*.py")):
+    for path in source_files():
         text = path.read_text()
         lines = text.splitlines()
         kept = [n for n in code_line_numbers(text) if not lines[n - 1].lstrip().startswith(("import ", "from "))]
@@ -100,7 +100,7 @@ def reached_from(name: str, *, in_functions: bool) -> set[str]:
     """The modules of skygcs that a daemon imports, beginning with this one: when it starts, or with all that its
     functions may import later. Of the kinds of links only `PLAIN_LINK`."""
     modules = {}
-    for path in SRC.rglob("*.py"):
+    for path in source_files():
         parts = ("skygcs", *path.relative_to(SRC).with_suffix("").parts)
         modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     reached: set[str] = set()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.routing.duplicates import DuplicateFilter
+from skygcs.core.routing.router import DuplicateFilter
 from support.examples import covered_by_other_flights
 from support.two_links import two_links
 

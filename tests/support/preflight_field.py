@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any, Self
 
-from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.preflight.report import LinkFacts
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.vehicle import SimVehicle
 from support.services import KnownLinks

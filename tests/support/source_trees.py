@@ -13,8 +13,8 @@ SRC = Path(__file__).resolve().parents[2] / "src" / "skygcs"
 
 @cache
 def source_files() -> tuple[Path, ...]:
-    """Every Python file of skygcs, in the order of their paths."""
-    return tuple(sorted(SRC.rglob("*.py")))
+    """Every Python file of skygcs, in the order of their paths; not those of packages of the page."""
+    return tuple(sorted(path for path in SRC.rglob("*.py") if "node_modules" not in path.parts))
 
 
 def tree_of(path: Path) -> ast.Module:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from skygcs.spelling import enumerated, listed
+from skygcs.number_text import enumerated, listed
 
 
 @pytest.mark.parametrize(

@@ -108,9 +108,9 @@ FOLDER_MODE = 0o750
 """And of a folder that it makes there."""
 
 
-def open_new(path: Path, mode: int = LOG_MODE) -> BinaryIO:
+def open_new(path: Path) -> BinaryIO:
     """A new file, open for writing. Raises OSError, FileExistsError if it exists."""
-    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb")
+    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, LOG_MODE), "wb")
 
 
 def make_log_folder(folder: Path) -> None:

@@ -820,7 +820,7 @@ static void fast_path_dealloc(FastPath *path) {
 /* -- the module */
 
 static PyMethodDef table_methods[] = {
-    {"first_heard_on", (PyCFunction)table_first_heard_on, METH_VARARGS, "As core.routing.duplicates.DuplicateFilter's; keys are integers."},
+    {"first_heard_on", (PyCFunction)table_first_heard_on, METH_VARARGS, "As core.routing.router.DuplicateFilter's; keys are integers."},
     {"invalidate", (PyCFunction)table_invalidate, METH_NOARGS, "Close all flows: the routing table changed."},
     {"take", (PyCFunction)table_take, METH_NOARGS, "(forwarded, local, tlog records, their number) since the last call."},
     {0},

@@ -1,4 +1,4 @@
-/* On which channel each recent frame was heard first, for _fast_path.c: core.routing.duplicates.DuplicateFilter in C,
+/* On which channel each recent frame was heard first, for _fast_path.c: core.routing.router.DuplicateFilter in C,
    two generations of hash sets. */
 #include <Python.h>
 #include <stdint.h>
@@ -6,12 +6,12 @@
 #include <sys/mman.h>
 
 enum {
-    MAX_REMEMBERED = 65536, /* core.routing.duplicates */
+    MAX_REMEMBERED = 65536, /* core.routing.router */
     SEEN_SLOTS = 2 * MAX_REMEMBERED,
     SEEN_BYTES = SEEN_SLOTS * sizeof(uint64_t),
     FEW_KEYS = SEEN_BYTES / 4096, /* as many as pages */
 };
-static const double WINDOW_S = 1.0; /* core.routing.duplicates */
+static const double WINDOW_S = 1.0; /* core.routing.router */
 
 /* A cell holds sysid, compid, seq and CRC, and the channel id (`Hub.attach` assigns none above), in one number. */
 static const uint64_t GREATEST_KEY = ((uint64_t)1 << 40) - 1;

@@ -23,8 +23,7 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.garbage import GarbageGauge
-from skygcs.core.routing.peer_places import Peer
+from skygcs.core.routing.peer_places import GarbageGauge, Peer
 from skygcs.errors import LinkError, explain_address_error
 from skygcs.events import Event
 from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost

@@ -122,41 +122,14 @@ class Context(Protocol):
 
 
 class ReportingContext:
-    """The context of a request whose client asked for its outcomes as they come: a session with `OrderReports`."""
+    """The context of a request whose client asked for its outcomes as they come: its session, with `OrderReports`."""
 
     def __init__(self, session: Context, request_id: str | float) -> None:
         self._session = session
         self.reports: OrderReports | None = OrderReports(session, request_id)
 
-    @property
-    def services(self) -> Services:
-        return self._session.services
-
-    @property
-    def client(self) -> object:
-        return self._session.client
-
-    @property
-    def slices(self) -> Slices:
-        return self._session.slices
-
-    def subscribe(self, params: SubscribeParams) -> int:
-        return self._session.subscribe(params)
-
-    def unsubscribe(self, number: int) -> None:
-        self._session.unsubscribe(number)
-
-    def relay_operator(self) -> None:
-        self._session.relay_operator()
-
-    def at_end(self, action: Callable[[], None]) -> Callable[[], None]:
-        return self._session.at_end(action)
-
-    def notify(self, method: str, params: JsonObject) -> None:
-        self._session.notify(method, params)
-
-    async def described(self, describe: Callable[[tuple[Method[Context], ...]], Encoded]) -> Encoded:
-        return await self._session.described(describe)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
 
 
 class HasDict(Protocol):
@@ -192,7 +165,8 @@ def order_method(
     """
 
     async def handler(context: Context, given: TargetsParams) -> JsonObject:
-        return await command(context, given.targets, order, **given.arguments())
+        give = context.services.fleet.orders.command_all
+        return as_json(await give(given.targets, order, reports=context.reports, **given.arguments()))
 
     handler.__doc__ = description
     ends_flight = order in CARRIED_ON

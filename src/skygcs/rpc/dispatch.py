@@ -10,7 +10,8 @@ import functools
 import importlib
 import inspect
 import json
-from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
@@ -29,7 +30,7 @@ from skygcs.errors import (
     SkygcsError,
     TargetError,
 )
-from skygcs.number_text import is_number
+from skygcs.number_text import is_number, near_names
 from skygcs.rpc.error_codes import (
     INTERNAL_ERROR,
     INVALID_PARAMS,
@@ -43,7 +44,6 @@ from skygcs.rpc.error_codes import (
 from skygcs.rpc.json_lines import id_of, is_id
 from skygcs.rpc.models import MethodParams
 from skygcs.rpc.replies import NotJsonError, encode, error_reply, reply_of
-from skygcs.spelling import near_names
 
 MAX_ECHO_CHARS = 80
 """Most characters of a client's input that an error text repeats."""
@@ -250,8 +250,11 @@ class Gate(Protocol):
         """A method whose handler is a plain function is about to be called."""
         ...
 
-    async def carry_out(self, method: Method[Any], context: Any, params: MethodParams) -> Any:
-        """Await a handler that is a coroutine, and return its result. Raises LimitExceeded, and what it raises."""
+    def room(
+        self, method: Method[Any], context: Any, params: MethodParams
+    ) -> AbstractAsyncContextManager[asyncio.Future[Any]]:
+        """Room for a call of a method whose handler is a coroutine; the block sets the outcome unless it is done, as
+        another call has it. Raises LimitExceeded, and what the block raises."""
         ...
 
     def stats(self) -> dict[str, Any]:
@@ -265,8 +268,9 @@ class OpenGate:
     def asked(self, method: Method[Any]) -> None:
         return
 
-    async def carry_out(self, method: Method[Any], context: Any, params: MethodParams) -> Any:
-        return await method.handler(context, params)
+    @asynccontextmanager
+    async def room(self, method: Method[Any], context: Any, params: MethodParams) -> AsyncIterator[asyncio.Future[Any]]:
+        yield asyncio.get_running_loop().create_future()
 
     def stats(self) -> dict[str, Any]:
         return {}
@@ -382,7 +386,10 @@ class Dispatcher(Generic[C]):
         self, method: Method[C], context: C, params: MethodParams, request_id: object, notification: bool
     ) -> bytes:
         try:
-            result = await self.gate.carry_out(method, context, params)
+            async with self.gate.room(method, context, params) as outcome:
+                if not outcome.done():
+                    outcome.set_result(await method.handler(context, params))
+            result = outcome.result()
         except asyncio.CancelledError:
             end_if_cancelled()  # its client is gone, or the daemon ends
             # what it waited for was cancelled by something else: the client is there and waits for an answer

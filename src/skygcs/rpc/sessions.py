@@ -261,14 +261,19 @@ class Session(ClientPeer):
             self._close_if_idle()
             return False
         self.used_at = self._hub.loop.time()
-        self._on_line(line)
+        reply = self._answer_to(line)
+        if isinstance(reply, bytes):
+            self.reply(reply)
+        elif reply is not None:
+            self._run(reply, self.reply)
         return self._transport is not None
 
     def hold_back(self) -> None:
         """Stop reading until the received lines are processed."""
         self.pace_reading(wait=True)
 
-    def _on_line(self, line: bytes) -> None:
+    def _answer_to(self, line: bytes) -> dispatch.Reply:
+        """Parse a line and begin what it asks for; None where it is answered already, or not at all."""
         self._hub.counters["lines"] += 1
         try:
             request = parse(line)
@@ -277,20 +282,13 @@ class Session(ClientPeer):
             self.reply(error_reply(None, error_codes.PARSE_ERROR, f"not JSON: {error}"))
             if not self.authenticated:
                 self._hang_up()
-            return
+            return None
         twice = functools.cache(functools.partial(key_twice, line))  # once for a batch
         if not self.authenticated:
             self._authenticate(request)
-        elif self._refused_for_now(request):
-            pass
-        elif type(request) is list:
-            self._on_batch(request, twice)
-        else:
-            reply = self._start(request, twice)
-            if isinstance(reply, bytes):
-                self.reply(reply)
-            elif reply is not None:
-                self._run(reply, self.reply)
+        elif not self._refused_for_now(request):
+            return self._on_batch(request, twice) if type(request) is list else self._start(request, twice)
+        return None
 
     def _refused_for_now(self, request: object) -> bool:
         """True if this is not answered since all places are taken. A connection beyond them has one request."""
@@ -336,13 +334,14 @@ class Session(ClientPeer):
             self._hub.counters["requests_late"] += 1
         return refusal
 
-    def _on_batch(self, requests: list[Any], twice: Callable[[], str | None]) -> None:
+    def _on_batch(self, requests: list[Any], twice: Callable[[], str | None]) -> bytes | None:
         if not requests:
-            return self.reply(error_reply(None, error_codes.INVALID_REQUEST, "a batch is not empty"))
+            return error_reply(None, error_codes.INVALID_REQUEST, "a batch is not empty")
         if len(requests) > MAX_BATCH:
             text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
-            return self.reply(error_reply(None, error_codes.LIMIT_EXCEEDED, text))
+            return error_reply(None, error_codes.LIMIT_EXCEEDED, text)
         self._batch = _Batch(deque(requests), twice)
+        return None
 
     def _go_on_with(self, batch: _Batch) -> None:
         """Begin the next request of a batch."""

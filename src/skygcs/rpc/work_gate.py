@@ -19,9 +19,9 @@ once has nothing in flight. An item is an order to a single vehicle. `WorkBound`
 from __future__ import annotations
 
 import asyncio
-import functools
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import AsyncIterator, Callable, Hashable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -182,8 +182,6 @@ ALL = "all"
 COUNTED = ("vehicle_orders_refused", "vehicle_orders_joined", "vehicle_orders_delayed")
 """Calls that were refused, that joined an earlier one, and that waited."""
 
-Settle = Callable[[asyncio.Future[Any]], None]
-
 
 class WorkGate:
     """`rpc.dispatch.Gate` of a daemon. ``counters``: `COUNTED`."""
@@ -192,7 +190,8 @@ class WorkGate:
         self.bound = WorkBound()
         self.counters: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self._resolve = resolve
-        self._joined: dict[Work, list[asyncio.Future[Any]]] = {}
+        self._outcomes: dict[Work, asyncio.Future[Any]] = {}
+        """By call that is carried out."""
 
     def stats(self) -> dict[str, Any]:
         """JSON-able: the orders to single vehicles that are in flight, and `COUNTED`."""
@@ -203,36 +202,42 @@ class WorkGate:
         if not method.while_stopping:
             self.bound.other_asked()
 
-    async def carry_out(self, method: Method[Any], context: Client, params: MethodParams) -> Any:
-        """Carry out a method within the bound. Raises LimitExceeded, and what the method raises."""
+    @asynccontextmanager
+    async def room(
+        self, method: Method[Any], context: Client, params: MethodParams
+    ) -> AsyncIterator[asyncio.Future[Any]]:
+        """Room for a call of a method whose handler is a coroutine, within the bound, while the block carries it out.
+        Yields its outcome, which the block sets unless it is done: that of the same order, which was in force. Raises
+        LimitExceeded, and what the block raises."""
+        outcome: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         names = self._names(method, context, params)
         if names is None or (method.always and not method.ends_flight):
             self.asked(method)
-            return await method.handler(context, params)
+            yield outcome
+            return
         if method.ends_flight:
             work = await self._room_or_outcome(method, context, params, names)
             if isinstance(work, asyncio.Future):
-                return work.result()
+                yield work
+                return
         else:
             try:
                 work = self.bound.begin(context.client, method.name, len(names))
             except TooMuchWork as error:
                 self.counters["vehicle_orders_refused"] += 1
                 raise LimitExceeded(str(error)) from None
-        # call the handler, give the room back, and give the outcome to those that have joined
-        settle: Settle = _cancel
+        # let it be carried out, give the room back, and the outcome to those that have joined
+        self._outcomes[work] = outcome
         try:
-            result = await method.handler(context, params)
-            settle = functools.partial(_give, result)
-            return result
+            yield outcome
         except Exception as error:
-            settle = functools.partial(_fail, error)
+            outcome.set_exception(error)
+            outcome.exception()  # it is read here: there may be none that has joined
             raise
         finally:
+            outcome.cancel()
             self.bound.end(work)
-            for waiting in self._joined.pop(work, ()):
-                if not waiting.done():
-                    settle(waiting)
+            del self._outcomes[work]
 
     async def _room_or_outcome(
         self, method: Method[Any], context: Client, params: MethodParams, names: frozenset[str]
@@ -247,10 +252,11 @@ class WorkGate:
             earlier = self.bound.to_join(same_as, asked) if may_join else None
             if earlier is not None:
                 self.counters["vehicle_orders_joined"] += 1
-                waiting = await self._ended(earlier)
-                if waiting.cancelled():
+                outcome = self._outcomes[earlier]
+                await asyncio.wait({outcome})
+                if outcome.cancelled():
                     continue  # the earlier one was; this one is not
-                return waiting
+                return outcome
             wait_s = self.bound.wait_s(context.client, same_as, now())
             if wait_s <= 0.0:
                 return self.bound.begin_ending(context.client, len(names), same_as, now())
@@ -278,29 +284,6 @@ class WorkGate:
             return frozenset(actor.name for actor in self._resolve(targets))
         except TargetError:
             return frozenset()
-
-    async def _ended(self, work: Work) -> asyncio.Future[Any]:
-        """Wait for an order that is carried out already; returns its outcome, which may be a cancellation."""
-        waiting: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self._joined.setdefault(work, []).append(waiting)
-        try:
-            await asyncio.wait({waiting})
-        finally:
-            if not waiting.done():
-                waiting.cancel()
-        return waiting
-
-
-def _cancel(waiting: asyncio.Future[Any]) -> None:
-    waiting.cancel()
-
-
-def _fail(error: Exception, waiting: asyncio.Future[Any]) -> None:
-    waiting.set_exception(error)
-
-
-def _give(result: object, waiting: asyncio.Future[Any]) -> None:
-    waiting.set_result(result)
 
 
 def _vehicles(number: int) -> str:

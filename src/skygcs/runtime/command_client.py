@@ -230,10 +230,6 @@ class CommandClient:
         """The commands that `busy` refers to; always the same list."""
         return self._watches
 
-    @property
-    def commanding(self) -> bool:
-        return bool(self._running)
-
     def in_flight(self, command: int) -> bool:
         return command in self._running
 

@@ -9,18 +9,33 @@ no other program sends it setpoints                        its mode             
 its radio can carry a stream of setpoints                  the links                     allowed
 attitude, raw: its thrust means thrust                     its parameters, read anew     refused
 attitude, raw: it does not keep a tilt without setpoints   its parameters, read anew     allowed
+
+The message rates that the flight needs are requested when it begins, and restored when it ends.
+
+    message                  requested for                  rate
+    ----------------------   ----------------------------   ---------------------------------
+    GLOBAL_POSITION_INT      attitude, raw; velocity        POSITION_HZ
+    ATTITUDE, VFR_HUD        attitude                       ATTITUDE_AIDS_HZ
+    GPS_GLOBAL_ORIGIN        moving references              once
+
+Where a radio's stream plan sets the rates, it is asked for the position's, and nothing is requested here.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from skygcs.config.control import ControlSettings
 from skygcs.core.control.guard import ControlMode
-from skygcs.core.vehicle import offboard_entry
+from skygcs.core.radio_link.stream_rates import POSITION, intended_rate
+from skygcs.core.vehicle import offboard_entry, orders
+from skygcs.core.vehicle.origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.order_runner import OrderRunner
+from skygcs.runtime.stream_requester import StreamRequester
+from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_services import VehicleServices
 
 
@@ -87,3 +102,97 @@ class EntryConditions:
             return None
         fence = self._settings.fence_at(origin)
         return fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+
+
+RATE_SETTLES_S = 20.0
+"""After the position's rate was restored, its smoothed measure still includes the time before for so long."""
+
+POSITION_HZ = {ControlMode.RAW: 50.0, ControlMode.ATTITUDE: 50.0, ControlMode.VELOCITY: 10.0}
+"""GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
+the autopilot closes the loop, the nav profile's 2 Hz stay."""
+
+ATTITUDE_AIDS_HZ = {"ATTITUDE": 10.0, "VFR_HUD": 5.0}
+"""Requested while attitude is wanted: tilt and throttle, from which the law's integral begins (`bumpless_transfer`)."""
+
+
+class ControlStreams:
+    """The rates of one vehicle while skygcs flies it. What is not awaited runs in ``tasks``."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        configured_hz: Mapping[str, float],
+        order_runner: OrderRunner,
+        streams: StreamRequester,
+        services: VehicleServices,
+        tasks: TaskSet,
+    ) -> None:
+        self._vehicle = vehicle
+        self._configured_hz = configured_hz
+        self._orders = order_runner
+        self._streams = streams
+        self._loop = services.loop
+        self._dialect = services.dialect
+        self._tasks = tasks
+        self._before_hz = configured_hz.get(POSITION, 0.0)
+        """The position's rate before it was raised: an own 5 Hz of PX4, or what a program asked for."""
+        self._raised = False
+        self._restored_at = -math.inf
+        self._aids_before_hz: dict[str, float] = {}
+        """Rates of the messages that are requested for attitude, from before."""
+
+    async def raise_position_rate(self, control_mode: ControlMode, *, new_link: bool = False) -> None:
+        """Request the position as often as this control mode needs it, unless a radio's plan sees to it. ``new_link``:
+        its rate on this link is not known."""
+        rate_hz = POSITION_HZ.get(control_mode)
+        if self._streams.want_position(rate_hz) or rate_hz is None:
+            return
+        now = self._loop.time()
+        if not self._raised and now - self._restored_at > RATE_SETTLES_S:
+            slot = self._vehicle.slot(POSITION)
+            measured_hz = 0.0 if slot is None or new_link else slot.rate_hz
+            self._before_hz = max(intended_rate(measured_hz), self._configured_hz.get(POSITION, 0.0))
+        self._raised = True
+        await self._request(POSITION, max(rate_hz, self._before_hz))
+
+    def request_aids(self, control_mode: ControlMode) -> None:
+        """Have tilt and throttle come faster for attitude, in the background, unless a radio's plan sets the rates."""
+        if control_mode is not ControlMode.ATTITUDE or self._streams.planned:
+            return
+        wanted: dict[str, float] = {}
+        for name, rate_hz in ATTITUDE_AIDS_HZ.items():
+            slot = self._vehicle.slot(name)
+            before_hz = 0.0 if slot is None else slot.rate_hz
+            if name not in self._aids_before_hz and name in self._dialect.by_name and before_hz < rate_hz:
+                self._aids_before_hz[name] = max(intended_rate(before_hz), self._configured_hz.get(name, 0.0))
+                wanted[name] = rate_hz
+        if wanted:
+            self._tasks.start(self._request_all(wanted), "attitude rate")
+
+    def request_estimator_origin(self) -> None:
+        """Ask where its estimator has its origin, in the background: moving references need it, and without it they go
+        without their acceleration."""
+        self._tasks.start(self._request_origin(), "estimator origin")
+
+    def restore(self) -> None:
+        """Control has ended, or did not begin: request the earlier rates again, in the background. Idempotent."""
+        if not self._streams.want_position(None) and self._vehicle.connected and self._raised:
+            self._raised, self._restored_at = False, self._loop.time()
+            self._tasks.start(self._request(POSITION, self._before_hz or None), "position rate")
+        before, self._aids_before_hz = self._aids_before_hz, {}
+        if before and self._vehicle.connected and not self._streams.planned:
+            self._tasks.start(self._request_all(before), "attitude rate")
+
+    async def _request_all(self, rates_hz: Mapping[str, float]) -> None:
+        for name, rate_hz in rates_hz.items():
+            await self._request(name, rate_hz or None)
+
+    async def _request(self, name: str, rate_hz: float | None) -> None:
+        await self._orders.attempt_in_control(
+            lambda now: orders.message_interval(self._vehicle, now, self._dialect, name, rate_hz)
+        )
+
+    async def _request_origin(self) -> None:
+        await self._orders.attempt_in_control(
+            lambda now: orders.request_message(self._vehicle, now, self._dialect, ORIGIN_MESSAGE)
+        )

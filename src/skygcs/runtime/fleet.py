@@ -32,6 +32,7 @@ from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.flight_notes import FlightJournal, FlightNotes
+from skygcs.runtime.home_orders import WorldFrame
 from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
@@ -53,7 +54,6 @@ from skygcs.runtime.vehicle_services import (
     VehicleServices,
     no_order_refusal,
 )
-from skygcs.runtime.world_frame import WorldFrame
 
 MAX_VEHICLES_OF_LINK = 250
 """System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats. One that

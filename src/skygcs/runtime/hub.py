@@ -31,8 +31,7 @@ from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.reading import ReadingTurns
 from skygcs.runtime.channel_statistics import ChannelStatistics
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.flows import Flows
-from skygcs.runtime.frame_observers import FrameObservers
+from skygcs.runtime.flows import Flows, FrameObservers
 from skygcs.runtime.loop_clock import boot_clock
 from skygcs.runtime.outgoing_gate import OutgoingGate
 from skygcs.runtime.recorder import Recorder

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from skygcs.core.mavlink.frame import SIGNATURE_BYTES, Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.radio_link.capacity import (
     FRAME_BYTES,
     HALF_DUPLEX_SHARE,

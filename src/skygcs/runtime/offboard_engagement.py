@@ -41,9 +41,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import SUPERSEDED, CommandClient
-from skygcs.runtime.control_streams import ControlStreams
 from skygcs.runtime.control_tuning import ControlTuning, first_equal, law_json, offboard_config
-from skygcs.runtime.entry_conditions import EntryConditions
+from skygcs.runtime.entry_conditions import ControlStreams, EntryConditions
 from skygcs.runtime.loop_clock import ControlClock
 from skygcs.runtime.order_runner import UNHEARD, OrderRunner
 from skygcs.runtime.stream_requester import StreamRequester

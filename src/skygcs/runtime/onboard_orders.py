@@ -32,14 +32,16 @@ async def upload_plan(
     if (why := _list_refusal(actor, kinds)) is not None:
         return actor.refuse("plan upload", why)
     work = actor.missions.bring(plan, kinds, limit_m=actor.config.goto_limit_m, force=force)
-    return await actor.outcomes.track("plan upload", work)
+    with actor.outcomes.tracked("plan upload") as ended:
+        return ended(await work)
 
 
 async def clear_plan(actor: VehicleActor, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
     """See `Missions.drop`; as `upload_plan`."""
     if (why := _list_refusal(actor, kinds)) is not None:
         return actor.refuse("plan clear", why)
-    return await actor.outcomes.track("plan clear", actor.missions.drop(kinds, force=force))
+    with actor.outcomes.tracked("plan clear") as ended:
+        return ended(await actor.missions.drop(kinds, force=force))
 
 
 async def download_plan(actor: VehicleActor, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:

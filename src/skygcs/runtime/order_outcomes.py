@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from skygcs.core.protocols.command import Outcome
@@ -21,19 +23,20 @@ class OrderOutcomes:
         self._on_event = on_event
         self._under_way: Counter[str] = Counter()
 
-    async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
-        """Run the work of an order and report its outcome; if it is cancelled, that is its outcome."""
+    @contextmanager
+    def tracked(self, order: str) -> Iterator[Callable[[Outcome], Outcome]]:
+        """An order is under way in a block, which passes its outcome to the function that is yielded: that reports and
+        returns it. If the block is cancelled, that is the outcome."""
         started = self._loop.time()
         self._under_way[order] += 1
         try:
-            outcome = await work
+            yield partial(self.finish, order)
         except asyncio.CancelledError:
             text = "cancelled: the client that gave it is gone; what was sent already cannot be undone"
             self.finish(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
             raise
         finally:
             self._under_way[order] -= 1
-        return self.finish(order, outcome)
 
     def cut_stops(self, why: str) -> None:
         """Report each stop that is under way as lost, which is an alarm: it will not be repeated any more."""

@@ -15,12 +15,12 @@ from dataclasses import replace
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
-from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.autopilot import arms, firmware_name
 from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
 from skygcs.core.vehicle.order_ledger import REFUSALS, OrderLedger
 from skygcs.core.vehicle.order_plan import VERIFY_S, Expectation, GoesThere, ModeIn, Plan, Step, TargetProof
+from skygcs.core.vehicle.orders import todo_for
 from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
 from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -143,7 +143,8 @@ class OrderRunner:
 
     async def run(self, order: str, planner: Planner) -> Outcome:
         """Run a simple order and report its outcome."""
-        return await self._outcomes.track(order, self.attempt(planner))
+        with self._outcomes.tracked(order) as ended:
+            return ended(await self.attempt(planner))
 
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """`run`, repeated until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle gives a
@@ -151,8 +152,8 @@ class OrderRunner:
         moves = order in MOVING
         self._waiting += moves
         try:
-            with numbered():
-                return await self._outcomes.track(order, self._tries(order, planner, wait_s))
+            with numbered(), self._outcomes.tracked(order) as ended:
+                return ended(await self._tries(order, planner, wait_s))
         finally:
             self._waiting -= moves
             self._order_ended.set()
@@ -327,14 +328,15 @@ class OrderRunner:
         If its caller is cancelled, or `wind_down` is called, during a step that only prepares later ones (arming for a
         take-off), that step is undone. Once the last step has begun nothing is undone: the vehicle may be flying by it.
         """
+        carry_out = self._steps if all(step.undo is None for step in plan.steps[:-1]) else self._undoably
         if plan.order not in MOVING:
-            return await self._finish_or_undo(_PlanInProgress(plan, self.ledger.number, clearance, self.hands()))
+            return await carry_out(_PlanInProgress(plan, self.ledger.number, clearance, self.hands()))
         self._newest, mode, ends_flight = plan, self._vehicle.custom_mode, plan.order in ENDING
         self._commands.supersede(_commands(plan), ends_flight=ends_flight)
         number = self.ledger.begins(plan.order, ORDER_SERIAL.get() or OWN, ends_flight=ends_flight)
         run, ended = _PlanInProgress(plan, number, clearance, self.hands()), None
         try:
-            ended = await self._finish_or_undo(run)
+            ended = await carry_out(run)
         finally:
             self.ledger.ended(number, ended, changed=any(map(_sets_mode, run.done)))
             self._order_ended.set()
@@ -343,10 +345,8 @@ class OrderRunner:
             self.on_carried_out(plan)
         return outcome
 
-    async def _finish_or_undo(self, run: _PlanInProgress) -> Outcome:
-        """Carry out the steps of a plan; those that can be undone in a task of their own, which outlives the caller."""
-        if all(step.undo is None for step in run.plan.steps[:-1]):
-            return await self._steps(run)
+    async def _undoably(self, run: _PlanInProgress) -> Outcome:
+        """`_steps` in a task of its own, which outlives the caller and undoes them."""
         if self._ending:
             return Outcome.refused("skygcs is shutting down")
         task = self._loop.create_task(self._steps(run), name=f"{self._vehicle.name} {run.plan.order}")
@@ -398,7 +398,8 @@ class OrderRunner:
             if self._known_unsupported(step, plan):
                 queue[:0] = step.instead
                 continue
-            outcome = await self._persist(step, run)
+            began = self._loop.time()
+            outcome = await self._persist(step, run, began, await self._step(step, run))
             # ended by its caller or by the shutdown meanwhile
             if run.ended() and number == self.ledger.number:
                 run.done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
@@ -459,21 +460,22 @@ class OrderRunner:
         answers = model_of(self._vehicle, self._loop.time()).answers
         return answers.get(step.command.command) == UNSUPPORTED
 
-    async def _persist(self, step: Step, run: _PlanInProgress) -> Outcome:
-        """Execute one step; if the plan persists, repeat it while no answer comes, as it may not have been received."""
-        plan, started, attempts = run.plan, self._loop.time(), 0
+    async def _persist(self, step: Step, run: _PlanInProgress, began: float, outcome: Outcome) -> Outcome:
+        """See that the vehicle does what a step, which ``began`` then, asked of it; if the plan persists, repeat it
+        while no answer comes, as it may not have been received."""
+        plan, attempts = run.plan, 0
         while True:
-            outcome = await self._step(step, run)
             if plan.order in MOVING and plan.order != "goto":
                 self.sent_before_at = self._loop.time()
             if outcome.ok and step.proof is not None:
                 outcome = await self._proved(step, step.proof, run, outcome)
             attempts += outcome.attempts
-            elapsed_s = self._loop.time() - started
+            elapsed_s = self._loop.time() - began
             newer = run.number != self.ledger.number and not plan.final
             if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
                 return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
             self._outcomes.report_progress(plan.order, None)
+            outcome = await self._step(step, run)
 
     async def _step(self, step: Step, run: _PlanInProgress) -> Outcome:
         """Send the command of a step, or its message, and wait until the vehicle shows the result."""

@@ -19,8 +19,15 @@ from pydantic_core import from_json
 import skygcs.core.params
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.param_encoding import Param, Value
-from skygcs.core.params.metadata import MAX_TABLE_BYTES, MetadataTable, ParamMetadata, table
-from skygcs.core.params.metadata_files import ftp_path, general_file, of_px4
+from skygcs.core.params.metadata import (
+    MAX_TABLE_BYTES,
+    MetadataTable,
+    ParamMetadata,
+    ftp_path,
+    general_file,
+    of_px4,
+    table,
+)
 from skygcs.core.params.names import other_name
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.orders import FORCE_HINT

@@ -16,9 +16,19 @@ from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Answer, PreflightFacts, ReturnSetting, offered_heights
 from skygcs.core.preflight.health import FRESH_S
-from skygcs.core.preflight.report import Finding, Fix, PreflightReport, Severity, failed, passed
+from skygcs.core.preflight.report import (
+    Answer,
+    Finding,
+    Fix,
+    PreflightFacts,
+    PreflightReport,
+    ReturnSetting,
+    Severity,
+    failed,
+    offered_heights,
+    passed,
+)
 from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
 from skygcs.core.protocols.command import Outcome

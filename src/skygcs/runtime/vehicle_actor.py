@@ -494,14 +494,17 @@ class VehicleActor:
         """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
         if (why := self.services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
             return self.refuse("calibrate", why)
-        return await self.outcomes.track("calibrate", self.calibration.run(Sensor(sensor)))
+        with self.outcomes.tracked("calibrate") as ended:
+            return ended(await self.calibration.run(Sensor(sensor)))
 
     async def confirm_pose(self) -> Outcome:
         """Confirm that it lies as its calibration asked for."""
-        return await self.outcomes.track("calibrate confirm", self.calibration.confirm())
+        with self.outcomes.tracked("calibrate confirm") as ended:
+            return ended(await self.calibration.confirm())
 
     async def cancel_calibration(self) -> Outcome:
-        return await self.outcomes.track("calibrate cancel", self.calibration.cancel())
+        with self.outcomes.tracked("calibrate cancel") as ended:
+            return ended(await self.calibration.cancel())
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self.runner.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -560,20 +563,23 @@ class VehicleActor:
         if not self.offboard.controller.active:
             self.offboard.release("switched off")
             return self.outcomes.finish("control", Outcome(True, "accepted", "control is off"))
-        return await self.outcomes.track("control", self._switched_off())
+        with self.outcomes.tracked("control") as ended:
+            return ended(await self._switched_off())
 
     async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
         if self._closed:
             return self.outcomes.finish("control", Outcome.refused(f"{self._closed}: nothing flies it any more"))
         with numbered():
-            outcome = await self.outcomes.track("control", self.offboard.engage(ControlMode(mode), force=force))
+            with self.outcomes.tracked("control") as ended:
+                outcome = ended(await self.offboard.engage(ControlMode(mode), force=force))
             if outcome.ok:
                 self.runner.note_effect()
             return outcome
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""
-        return await self.outcomes.track("gains", self.offboard.change_gains(changes, force=force))
+        with self.outcomes.tracked("gains") as ended:
+            return ended(await self.offboard.change_gains(changes, force=force))
 
     def setpoint(
         self,

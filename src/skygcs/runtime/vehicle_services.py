@@ -12,7 +12,7 @@ from typing import Protocol
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.monitor.tracks import Place
-from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.order_plan import Plan

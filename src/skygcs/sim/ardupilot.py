@@ -19,6 +19,7 @@ from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.mission.item import MissionItem
 from skygcs.sim import copter_sticks, failsafe
 from skygcs.sim import protocol as m
+from skygcs.sim.battery import CAPACITY_MAH
 from skygcs.sim.behaviours import COPTER, Reaction
 from skygcs.sim.body import Vector
 from skygcs.sim.command_message import Command
@@ -117,7 +118,7 @@ class CopterVehicle(SimVehicle):
 
     @property
     def low_battery_percent(self) -> float:
-        return 100 * self.params["BATT_LOW_MAH"] / self.battery.capacity_mah
+        return 100 * self.params["BATT_LOW_MAH"] / CAPACITY_MAH
 
     @property
     def base_mode(self) -> int:
@@ -185,7 +186,7 @@ class CopterVehicle(SimVehicle):
         return "Battery 1 low capacity failsafe" if low or critical else None
 
     def battery_levels(self) -> tuple[bool, bool, bool]:
-        left_mah = self.battery.capacity_mah - self.battery.used_mah
+        left_mah = CAPACITY_MAH - self.battery.used_mah
         low, critical = self.params["BATT_LOW_MAH"], self.params["BATT_CRT_MAH"]
         return 0 < low >= left_mah, 0 < critical >= left_mah, False
 

@@ -11,32 +11,32 @@ HOVER_A = 15.0
 CELL_EMPTY_V = 3.3
 CELL_FULL_V = 4.2
 RESISTANCE_OHM = 0.02
+CELLS = 4
+CAPACITY_MAH = 5200.0
 
 
 class Battery:
-    """``cells`` in series, ``capacity_mah``; full at power-up."""
+    """`CELLS` in series, `CAPACITY_MAH`; full at power-up."""
 
-    __slots__ = ("amps", "capacity_mah", "cells", "used_mah")
+    __slots__ = ("amps", "used_mah")
 
-    def __init__(self, cells: int = 4, capacity_mah: float = 5200.0) -> None:
-        self.cells = cells
-        self.capacity_mah = capacity_mah
+    def __init__(self) -> None:
         self.used_mah = 0.0
         self.amps = IDLE_A
 
     def step(self, dt_s: float, *, flying: bool, climb_mps: float = 0.0) -> None:
         self.amps = HOVER_A + max(0.0, climb_mps) * 1.5 if flying else IDLE_A
-        self.used_mah = min(self.capacity_mah, self.used_mah + self.amps * dt_s / 3.6)
+        self.used_mah = min(CAPACITY_MAH, self.used_mah + self.amps * dt_s / 3.6)
 
     def set_percent(self, percent: float) -> None:
         """Put it at this state of charge (0..100)."""
-        self.used_mah = self.capacity_mah * (1 - min(100.0, max(0.0, percent)) / 100)
+        self.used_mah = CAPACITY_MAH * (1 - min(100.0, max(0.0, percent)) / 100)
 
     @property
     def percent(self) -> int:
-        return round(100 * (1 - self.used_mah / self.capacity_mah))
+        return round(100 * (1 - self.used_mah / CAPACITY_MAH))
 
     @property
     def volts(self) -> float:
-        charge = 1 - self.used_mah / self.capacity_mah
-        return self.cells * (CELL_EMPTY_V + (CELL_FULL_V - CELL_EMPTY_V) * charge) - self.amps * RESISTANCE_OHM
+        charge = 1 - self.used_mah / CAPACITY_MAH
+        return CELLS * (CELL_EMPTY_V + (CELL_FULL_V - CELL_EMPTY_V) * charge) - self.amps * RESISTANCE_OHM

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from skygcs.core.plan.fleet_plan import FlightSpace, TimedPlan
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, straight_lines
-from skygcs.core.trajectory.timing import TimedPoint
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
+from skygcs.core.trajectory.timing import TimedPoint, hover, straight_lines
 from skygcs.ext.plans.certificates.certificate import Certificate
 from skygcs.ext.plans.certificates.certify import certify
 from skygcs.ext.plans.certificates.plan_search import Kind, Task, make_plan

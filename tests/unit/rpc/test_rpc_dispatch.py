@@ -53,14 +53,12 @@ DISPATCHER = Dispatcher[Calls](
 
 
 def finished(reply: Reply) -> bytes | None:
-    """Drive a reply to its end without a loop: `slow_pair` only yields once."""
-    if reply is None or isinstance(reply, bytes):
-        return reply
-    while True:
-        try:
-            reply.send(None)
-        except StopIteration as end:
-            return bytes(end.value)
+    """A reply at its end."""
+    return reply if reply is None or isinstance(reply, bytes) else asyncio.run(_awaited(reply))
+
+
+async def _awaited(reply: Coroutine[Any, Any, bytes]) -> bytes:
+    return await reply
 
 
 def ask(request: object, dispatcher: Dispatcher[Calls] = DISPATCHER) -> Any:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -147,9 +148,6 @@ async def test_what_reads_much_for_each_of_many_vehicles_does_so_one_a_turn() ->
             turns += 1
             await asyncio.sleep(0)
 
-    async def track(_: str, work: Any) -> Outcome:
-        return cast(Outcome, await work)
-
     metadata = SimpleNamespace(refusals=look, notes=lambda values: {})
     setting = SimpleNamespace(set=lambda *_, **__: asyncio.sleep(0, {}))
     vehicles = [SimpleNamespace(name=f"v{n}", metadata=metadata, params=setting) for n in range(9)]
@@ -160,7 +158,10 @@ async def test_what_reads_much_for_each_of_many_vehicles_does_so_one_a_turn() ->
     services = SimpleNamespace(locks=SimpleNamespace(refusal=lambda write: None), one_a_turn=OneATurn())
     missions, config = SimpleNamespace(bring=bring), SimpleNamespace(goto_limit_m=1.0)
     actor = cast(Any, SimpleNamespace(services=services, missions=missions, config=config))
-    actor.vehicle, actor.outcomes = SimpleNamespace(key=1), SimpleNamespace(track=track)
+    actor.vehicle, actor.outcomes = (
+        SimpleNamespace(key=1),
+        SimpleNamespace(tracked=lambda order: nullcontext(lambda outcome: outcome)),
+    )
     await asyncio.gather(*(onboard_orders.upload_plan(actor, plan=MissionPlan(), kinds=()) for _ in range(9)))
     counting.cancel()
     assert len(looks) == len(set(looks)) == 18

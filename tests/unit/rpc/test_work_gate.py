@@ -59,8 +59,15 @@ def method(work: Work, *, ends_flight: bool = False) -> Method[Any]:
     return Method("vehicles.do", TargetsParams, work, always=ends_flight, outlives_client=ends_flight)
 
 
+async def carried_out(gate: WorkGate, called: Method[Any], client: Any, params: Any) -> Any:
+    async with gate.room(called, client, params) as outcome:
+        if not outcome.done():
+            outcome.set_result(await called.handler(client, params))
+    return outcome.result()
+
+
 async def begun(gate: WorkGate, called: Method[Any], client: Client, targets: str = "all") -> asyncio.Task[Any]:
-    task = asyncio.ensure_future(gate.carry_out(called, client, TargetsParams(targets=targets)))
+    task = asyncio.ensure_future(carried_out(gate, called, client, TargetsParams(targets=targets)))
     await asyncio.sleep(0)
     await asyncio.sleep(0)
     return task
@@ -71,7 +78,7 @@ async def test_every_method_of_the_table_that_waits_for_vehicles_is_counted(name
     gate, work = WorkGate(resolve), Work()
     called = dataclasses.replace(ALL_METHODS[name], handler=work, reached=None)  # these: the next test
     params = called.params.model_construct(targets="all", target="all")
-    task = asyncio.ensure_future(gate.carry_out(called, Client(), params))
+    task = asyncio.ensure_future(carried_out(gate, called, Client(), params))
     await asyncio.sleep(0)
     assert work.begun == 1 and gate.bound.items == gate.stats()["vehicle_orders"] == len(FLEET)
     work.end.set()
@@ -105,7 +112,7 @@ async def test_a_plan_is_counted_by_the_vehicles_that_fly_it(name: str, params: 
     services = SimpleNamespace(extensions={"plan": SimpleNamespace(runner=runner)})
     client: Any = SimpleNamespace(client=1, reports=None, services=services)
     called = dataclasses.replace(ALL_METHODS[name], handler=work)
-    task = asyncio.ensure_future(gate.carry_out(called, client, called.params(**params)))
+    task = asyncio.ensure_future(carried_out(gate, called, client, called.params(**params)))
     await asyncio.sleep(0)
     assert work.begun == 1 and gate.bound.items == items
     work.end.set()
@@ -115,14 +122,14 @@ async def test_a_plan_is_counted_by_the_vehicles_that_fly_it(name: str, params: 
 async def test_a_method_that_declares_nothing_is_counted_as_the_whole_fleet() -> None:
     gate, work = WorkGate(resolve), Work()
     undeclared = Method("beacon.clear", NoParams, work)
-    task = asyncio.ensure_future(gate.carry_out(undeclared, Client(), NoParams()))
+    task = asyncio.ensure_future(carried_out(gate, undeclared, Client(), NoParams()))
     await asyncio.sleep(0)
     assert gate.bound.items == len(FLEET)
     work.end.set()
     await task
     assert gate.bound.items == 0
     local = dataclasses.replace(undeclared, reach="nothing")
-    task = asyncio.ensure_future(gate.carry_out(local, Client(), NoParams()))
+    task = asyncio.ensure_future(carried_out(gate, local, Client(), NoParams()))
     await asyncio.sleep(0)
     assert gate.bound.items == 0
     await task
@@ -173,7 +180,7 @@ async def test_the_room_is_free_again_after_a_cancellation(ends_flight: bool) ->
 
 async def test_a_task_that_never_began_takes_no_room() -> None:
     gate = WorkGate(resolve)
-    task = asyncio.ensure_future(gate.carry_out(method(Work()), Client(), TargetsParams(targets="all")))
+    task = asyncio.ensure_future(carried_out(gate, method(Work()), Client(), TargetsParams(targets="all")))
     task.cancel()
     await asyncio.wait({task})
     assert gate.bound.items == 0

@@ -63,7 +63,7 @@ async def test_over_a_lossy_slow_link_every_command_ends_once_with_its_own_answe
             assert n % 2 == 1
         assert outcome.elapsed_s <= sum(RETRY_TIMERS_S) + SETTLE_S
     assert sum(o.result != "timeout" for o in outcomes.values()) >= 30
-    assert not commands.commanding
+    assert not commands._running
     commands.close("the test ends")
 
 
@@ -81,7 +81,7 @@ async def test_commands_of_many_ids_go_on_side_by_side_and_leave_nothing_behind(
     assert all(isinstance(r, Outcome | asyncio.CancelledError) for r in results)
     assert sum(isinstance(r, Outcome) and r.ok for r in results) > 20
     await asyncio.sleep(LATE_ACK_S)
-    assert not radio.commands.commanding
+    assert not radio.commands._running
     assert not radio.commands.busy
     assert radio.commands._timer.due is None
 

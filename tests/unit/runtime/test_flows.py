@@ -8,7 +8,7 @@ from typing import Any
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.routing.routing_table import RoutingVerdict
 from skygcs.links.base import ForwardingPath
-from skygcs.runtime.flows import Flows
+from skygcs.runtime.flows import Flows, FrameObservers
 from support.plain_hub import HubBench, PlainChannel
 from support.routed import heartbeat, message
 
@@ -102,3 +102,29 @@ async def test_what_the_fast_path_forwarded_is_counted_and_recorded() -> None:
     bench.flows.take()
     assert (counters[RoutingVerdict.FORWARDED], counters[RoutingVerdict.LOCAL]) == (before[0] + 3, before[1] + 2)
     assert bench.recorded == [(b"12345678raw", 1)]
+
+
+async def test_a_tap_hears_what_it_asked_for_until_it_is_removed() -> None:
+    bench = HubBench()
+    channel = bench.channel("a")
+    heard: list[tuple[str, int]] = []
+    remove = bench.hub.observers.add({30}, {2 << 8 | 1}, lambda f, c, now: heard.append((f.name, f.sysid)))
+    bench.feed(channel, message("ATTITUDE", 1), message("ATTITUDE", 2), heartbeat(2))
+    remove()
+    remove()
+    bench.feed(channel, message("ATTITUDE", 2, seq=9))
+    assert heard == [("ATTITUDE", 2)]
+
+
+def test_the_observed_messages_are_those_of_all_observers_and_each_change_is_reported() -> None:
+    observers, changes = FrameObservers(), []
+    observers.on_change = lambda: changes.append(observers.msgids)
+    remove_attitude = observers.add({30}, None, lambda *_: None)
+    remove_all = observers.add(None, {7 << 8}, lambda *_: None)
+    assert observers.watch(30, 2 << 8 | 1)
+    assert observers.watch(0, 7 << 8 | 191), "component 0: the whole system"
+    assert not observers.watch(0, 2 << 8 | 1)
+    remove_all()
+    remove_attitude()
+    remove_attitude()
+    assert changes == [{30}, None, {30}, set()]

@@ -21,7 +21,7 @@ from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.trajectory import hover
+from skygcs.core.trajectory.timing import hover
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.flight_lock import OriginChange
 from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint

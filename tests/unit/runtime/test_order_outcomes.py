@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Coroutine
 from typing import Any
 
 import pytest
@@ -24,11 +25,15 @@ async def test_each_order_is_reported_once_whatever_ends_it() -> None:
         assert isinstance(result, Outcome)
         return result
 
-    assert (await outcomes.track("arm", work(Outcome(True, "accepted", "armed")))).ok
+    async def tracked(order: str, its_work: Coroutine[Any, Any, Outcome]) -> Outcome:
+        with outcomes.tracked(order) as ended:
+            return ended(await its_work)
+
+    assert (await tracked("arm", work(Outcome(True, "accepted", "armed")))).ok
     outcomes.report_progress("calibrate", 40)
     outcomes.report_progress("calibrate", None)
-    gone = asyncio.create_task(outcomes.track("goto", work(Outcome(True, "accepted", "there"), 60.0)))
-    stops = [asyncio.create_task(outcomes.track("stop", work(Outcome(True, "accepted", "held"), 60.0))) for _ in "ab"]
+    gone = asyncio.create_task(tracked("goto", work(Outcome(True, "accepted", "there"), 60.0)))
+    stops = [asyncio.create_task(tracked("stop", work(Outcome(True, "accepted", "held"), 60.0))) for _ in "ab"]
     await asyncio.sleep(2.0)
     outcomes.cut_stops("the computer slept")
     for task in (gone, *stops):

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.preflight.report import LinkFacts
 from skygcs.sim import protocol as m
 from skygcs.sim.kinematics import Home
 from support.preflight_field import PreflightField

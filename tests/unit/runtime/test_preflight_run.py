@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.protocols.command import Outcome
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.vehicle_actor import VehicleActor

@@ -1069,7 +1069,7 @@ async def test_cancelling_an_order_leaves_nothing_behind(ground: Ground) -> None
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert not actor.commands.commanding
+    assert not actor.commands._running
     assert not actor.commands.busy
     vehicle.script = accept_everything
     assert (await actor.takeoff(5)).ok

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.vehicle.arming_refusals import todo_for
+from skygcs.core.vehicle.orders import todo_for
 from skygcs.sim.conditions import Conditions, Dynamics
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle

@@ -31,7 +31,7 @@ from skygcs.core.mission.item import (
     UNSET_INT,
     MissionItem,
 )
-from skygcs.spelling import enumerated
+from skygcs.number_text import enumerated
 
 Family = Literal["px4", "ardupilot"]
 

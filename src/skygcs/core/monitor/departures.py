@@ -279,22 +279,6 @@ def _blocks(one: Returning, way: Way, other: Way) -> bool:
     return not away or too_near(replace(way, legs=way.legs[1:]), other)
 
 
-def departures(
-    waiting: Sequence[Returning],
-    under_way: Sequence[Returning],
-    fixed: Sequence[Way] = (),
-    stays: Collection[int] = (),
-) -> Departures:
-    """`departing` without a break."""
-    work = departing(waiting, under_way, fixed, stays)
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            decided: Departures = end.value
-            return decided
-
-
 def _climbs(
     ordered: Sequence[Returning],
     blocked: Mapping[int, tuple[list[Way], list[Returning]]],

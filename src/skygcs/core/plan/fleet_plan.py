@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from skygcs.core.trajectory import MotionLimits, Trajectory, hover, path_within
+from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import MIN_PIECE_S, Vector
+from skygcs.core.trajectory.timing import hover, path_within
 
 MAX_PHASES = 1000
 

@@ -25,8 +25,9 @@ from skygcs.core.mission.item import GLOBAL, RELATIVE_ALT, MissionItem
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 from skygcs.core.mission.qgc import read_qgc
 from skygcs.core.plan.file_reading import number_of, refused, require_unique_keys, text_of
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, path_within
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DURATION_S, MIN_PIECE_S, Vector
+from skygcs.core.trajectory.timing import hover, path_within
 from skygcs.errors import PlanFileError, TrajectoryError
 
 _NAMES = {number: name for name, number in vars(mav_cmd).items() if name.isupper() and isinstance(number, int)}

@@ -75,7 +75,7 @@ def read_skyc(source: str, data: bytes) -> Trajectories:
     return trajectories
 
 
-def write_skyc(trajectories: Mapping[str, Trajectory], title: str = "skygcs") -> bytes:
+def write_skyc(trajectories: Mapping[str, Trajectory]) -> bytes:
     """The bytes of the file, the same for the same plan."""
     drones: list[Any] = []
     members: dict[str, Any] = {}
@@ -96,7 +96,7 @@ def write_skyc(trajectories: Mapping[str, Trajectory], title: str = "skygcs") ->
         "environment": {"type": "outdoor"},
         "settings": {"cues": {"version": 1, "items": []}},
         "swarm": {"drones": drones},
-        "meta": {"title": title},
+        "meta": {"title": "skygcs"},
         "media": {},
     }
     file = io.BytesIO()

@@ -20,8 +20,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from skygcs.core.plan.segment_distance import Array, scaled
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, rest_to_rest
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
 from skygcs.core.trajectory.piecewise import Vector
+from skygcs.core.trajectory.timing import hover, rest_to_rest
 
 MAX_EXCHANGES = 1_000_000
 """255 vehicles need some thousand."""

@@ -28,8 +28,9 @@ from skygcs.core.plan.file_reading import (
     text_of,
     vehicle_name,
 )
-from skygcs.core.trajectory import MotionLimits, TimedPoint, Trajectory, path_within, straight_lines
+from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DURATION_S, MAX_PIECES, Vector
+from skygcs.core.trajectory.timing import TimedPoint, path_within, straight_lines
 from skygcs.errors import PlanFileError, TrajectoryError
 
 COLUMNS = ("vehicle", "t", "x", "y", "z", "yaw")

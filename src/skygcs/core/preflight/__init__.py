@@ -3,9 +3,8 @@ Pure.
 
 `expectations`  everything that is expected of one vehicle, rules for its parameters among it; defaults are sensible
                 without a word in the fleet file
-`facts`         everything the checks look at, as plain values
-`report`        findings and what they add up to
-`health`        checks of what the vehicle reports of itself and of its link
+`report`        everything the checks look at, as plain values; findings and what they add up to
+`health`        checks of what the vehicle reports of itself and of its link, and of its external poses
 `settings`      checks of its parameters
 `table`         all of them in order, what they need, and `examine`
 """

@@ -11,8 +11,17 @@ from skygcs.core.mavlink.param_encoding import value_text
 from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, RTL_LAND_DELAY, HeightParam, ReturnEnd
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.preflight.expectations import Expectations, Rule
-from skygcs.core.preflight.facts import PreflightFacts
-from skygcs.core.preflight.report import Finding, Fix, Severity, Verdict, failed, passed, skipped, unknown
+from skygcs.core.preflight.report import (
+    Finding,
+    Fix,
+    PreflightFacts,
+    Severity,
+    Verdict,
+    failed,
+    passed,
+    skipped,
+    unknown,
+)
 from skygcs.core.vehicle.offboard_entry import (
     BY_STICKS,
     FALLS,
@@ -24,8 +33,7 @@ from skygcs.core.vehicle.offboard_entry import (
     THRUST_AS_THRUST,
 )
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL
-from skygcs.number_text import rounded
-from skygcs.spelling import listed
+from skygcs.number_text import listed, rounded
 
 LOST_PERIODS = 3
 """Setpoints that may be lost in a row before the vehicle concludes that no more will come."""

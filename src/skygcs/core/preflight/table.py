@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
-from skygcs.core.preflight import external_vision, health, settings
+from skygcs.core.preflight import health, settings
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import PreflightFacts
-from skygcs.core.preflight.report import Finding, PreflightReport, Severity
+from skygcs.core.preflight.report import Finding, PreflightFacts, PreflightReport, Severity
 
 Judge = Callable[[PreflightFacts, Expectations], Finding]
 Needs = Callable[[Expectations], bool]
@@ -55,16 +54,16 @@ CHECKS: tuple[Check, ...] = (
     Check("system id", DANGER, settings.sysid, px4=(("MAV_SYS_ID",),), ardupilot=(("SYSID_THISMAV",),)),
     Check("failsafe", DANGER, health.failsafe),
     Check("estimator", DANGER, health.estimator, ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")),
-    Check("poses", DANGER, external_vision.poses),
+    Check("poses", DANGER, health.poses),
     Check(
         "external vision",
         DANGER,
-        external_vision.external_vision,
-        px4=external_vision.PX4_PARAMS,
-        ardupilot=external_vision.COPTER_PARAMS,
+        health.external_vision,
+        px4=health.PX4_PARAMS,
+        ardupilot=health.COPTER_PARAMS,
         if_wanted=lambda wanted: wanted.mocap,
     ),
-    Check("ekf origin", FAULT, external_vision.estimator_origin),
+    Check("ekf origin", FAULT, health.estimator_origin),
     Check("position", DANGER, health.position, ("GLOBAL_POSITION_INT",)),
     Check("gps fix", DANGER, health.gps_fix, ("GPS_RAW_INT",)),
     Check("satellites", FAULT, health.satellites, ("GPS_RAW_INT",)),

@@ -136,12 +136,11 @@ class RadioRates:
 class Pacer:
     """The present rate up into one radio. `on_report` for each of its reports, `rate` whenever it is wanted."""
 
-    def __init__(self, rates: RadioRates, *, buffer_bytes: int = BUFFER_BYTES) -> None:
+    def __init__(self, rates: RadioRates) -> None:
         self.rates = rates
         self.vehicles = 0
         """Number of vehicles behind this radio; set by the air planner."""
         self.history: deque[RadioReport] = deque(maxlen=HISTORY)
-        self._buffer_bytes = buffer_bytes
         self._drain: float | None = None
         """Estimated bytes/s at which the radio empties its buffer; None: nothing says that it is below the base."""
         self._sent_bytes = 0
@@ -181,7 +180,7 @@ class Pacer:
         base = self.base
         if self._drain is None or not self.fresh(now):
             return base
-        correction = (self._level - TARGET_FREE) * self._buffer_bytes / SETTLE_S
+        correction = (self._level - TARGET_FREE) * BUFFER_BYTES / SETTLE_S
         return min(base, max(self._drain + correction, LEAST_SHARE * base))
 
     def burst_bytes(self) -> float:
@@ -202,7 +201,7 @@ class Pacer:
     def _learn(self, last: RadioReport, report: RadioReport, sent: int) -> None:
         """From what was sent between two reports, and by how much the buffer became fuller, to what went on air."""
         past_s = report.at - last.at
-        held = (last.txbuf_free - report.txbuf_free) * self._buffer_bytes
+        held = (last.txbuf_free - report.txbuf_free) * BUFFER_BYTES
         drained = max(0.0, (sent - held) / past_s)
         base = self.base
         if report.txbuf_free < LOW_FREE:  # bytes may have been lost, and look as if they had gone on air

@@ -92,11 +92,11 @@ NORMAL, SELECTED, CONTROLLED = 1.0, 2.0, 4.0
 """Weights: of one byte for a vehicle nobody looks at, an operator's vehicle gets two, one flown by setpoints four."""
 
 
-def rate_problem(rate_hz: float, most_hz: float = MAX_RATE_HZ) -> str | None:
+def rate_problem(rate_hz: float) -> str | None:
     """Return what is wrong with a rate, in words; None: it is 0 (off) or one that a message may have."""
-    if rate_hz == 0 or LEAST_RATE_HZ <= rate_hz <= most_hz:
+    if rate_hz == 0 or LEAST_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         return None
-    return f"must be 0 (off) or {LEAST_RATE_HZ:g} to {most_hz:g} Hz, not {rate_hz:g}"
+    return f"must be 0 (off) or {LEAST_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz, not {rate_hz:g}"
 
 
 def profile_rates(name: str) -> dict[str, float]:

@@ -17,13 +17,6 @@ from skygcs.core.trajectory.piecewise import (
     joints,
     require_continuous,
 )
-from skygcs.core.trajectory.timing import (
-    TimedPoint,
-    hover,
-    path_within,
-    rest_to_rest,
-    straight_lines,
-)
 from skygcs.core.trajectory.trajectory_clock import ClockState, ClockTime, TrajectoryClock
 
 __all__ = [
@@ -34,18 +27,13 @@ __all__ = [
     "MotionPeaks",
     "Peak",
     "Piece",
-    "TimedPoint",
     "Trajectory",
     "TrajectoryClock",
     "TrajectoryPoint",
-    "hover",
     "joints",
     "least_limits",
     "motion_peaks",
-    "path_within",
     "require_continuous",
     "require_within",
-    "rest_to_rest",
-    "straight_lines",
     "within_at_speed",
 ]

@@ -115,23 +115,19 @@ def motion_peaks(trajectory: Trajectory) -> MotionPeaks:
     )
 
 
-def require_within(trajectory: Trajectory, limits: MotionLimits, speed_factor: float = 1.0) -> MotionPeaks:
-    """Raise TrajectoryError where a limit is exceeded when the trajectory is flown at ``speed_factor``.
-
-    Speeds grow with the factor, accelerations with its square, jerk with its cube. Returns the peaks at factor 1.
-    """
+def require_within(trajectory: Trajectory, limits: MotionLimits) -> MotionPeaks:
+    """Return the peaks. Raises TrajectoryError where a limit is exceeded."""
     peaks = motion_peaks(trajectory)
-    f = speed_factor
-    for what, unit, peak, limit, scale, axis in (
-        ("speed", "m/s", peaks.speed_mps, limits.speed_mps, f, None),
-        ("climb rate", "m/s", peaks.climb_mps, limits.climb_mps, f, "up"),
-        ("descent rate", "m/s", peaks.descent_mps, limits.descent_mps, f, "up"),
-        ("acceleration", "m/s²", peaks.acceleration_mps2, limits.acceleration_mps2, f * f, None),
-        ("jerk", "m/s³", peaks.jerk_mps3, limits.jerk_mps3, f * f * f, None),
+    for what, unit, peak, limit, axis in (
+        ("speed", "m/s", peaks.speed_mps, limits.speed_mps, None),
+        ("climb rate", "m/s", peaks.climb_mps, limits.climb_mps, "up"),
+        ("descent rate", "m/s", peaks.descent_mps, limits.descent_mps, "up"),
+        ("acceleration", "m/s²", peaks.acceleration_mps2, limits.acceleration_mps2, None),
+        ("jerk", "m/s³", peaks.jerk_mps3, limits.jerk_mps3, None),
     ):
-        if not peak.at_most * scale <= limit * (1.0 + SLACK):  # also for NaN
+        if not peak.at_most <= limit * (1.0 + SLACK):  # also for NaN
             raise TrajectoryError(
-                f"{what} of {peak.at_most * scale:.4g} {unit} at {peak.t_s:.4g} s; the limit is {limit:g} {unit}",
+                f"{what} of {peak.at_most:.4g} {unit} at {peak.t_s:.4g} s; the limit is {limit:g} {unit}",
                 piece=peak.piece,
                 axis=axis,
             )

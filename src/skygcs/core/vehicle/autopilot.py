@@ -6,7 +6,7 @@ The messages of each order to a multirotor, and why:
     -------   ------------------------------------------   -------------------------------------------------------------
     mode      DO_SET_MODE 1, main, sub                     DO_SET_MODE 1, number
     takeoff   AUTO.LOITER, arm, NAV_TAKEOFF to AMSL,       GUIDED, arm, a position, NAV_TAKEOFF to a height above
-              NaN yaw and place                            home, 0/0 (`takeoff_height`)
+              NaN yaw and place                            home, 0/0 (`takeoff_watch`)
     land      NAV_LAND                                     NAV_LAND
     rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
     hold      DO_REPOSITION without a position: pause      mode BRAKE, then GUIDED
@@ -99,7 +99,7 @@ from skygcs.core.vehicle.order_plan import (
 )
 from skygcs.core.vehicle.setpoint import ALL, position_target_mask
 from skygcs.core.vehicle.stick_modes import hazard
-from skygcs.core.vehicle.takeoff_height import ClimbTo, StandsSinceArming
+from skygcs.core.vehicle.takeoff_watch import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError

@@ -38,9 +38,9 @@ from skygcs.core.control.velocity_predictor import (
 )
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
-from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
 from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S, boosts_thrust
+from skygcs.core.vehicle.origin import EstimatorOrigin
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event

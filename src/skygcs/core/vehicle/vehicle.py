@@ -26,7 +26,6 @@ from skygcs.core.mavlink.vehicle_class import (
     vehicle_class,
 )
 from skygcs.core.protocols.command import IN_PROGRESS, Ack
-from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoding import (
     Decoder,
     TelemetryGroup,
@@ -35,7 +34,7 @@ from skygcs.core.vehicle.decoding import (
     firmware_from_version,
 )
 from skygcs.core.vehicle.message_cache import MessageCache, Slot
-from skygcs.core.vehicle.shared_ids import Finding, SharedIds
+from skygcs.core.vehicle.shared_ids import BootClock, Finding, SharedIds
 from skygcs.core.vehicle.state import (
     ACTIVE,
     AIRBORNE,

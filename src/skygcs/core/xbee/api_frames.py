@@ -115,10 +115,10 @@ def at_command(frame_id: int, command: str, value: bytes = b"") -> bytes:
     return bytes((FrameType.AT_COMMAND, frame_id)) + _at_name(command) + value
 
 
-def remote_at_command(frame_id: int, address: int, command: str, value: bytes = b"", *, apply: bool = True) -> bytes:
-    """Data of a command to a remote module. ``apply``: the change counts at once."""
+def remote_at_command(frame_id: int, address: int, command: str, value: bytes = b"") -> bytes:
+    """Data of a command to a remote module; a change counts at once."""
     head = bytes((FrameType.REMOTE_AT_COMMAND, frame_id)) + address.to_bytes(8, "big") + _ANY_ADDRESS16
-    return head + bytes([0x02 if apply else 0]) + _at_name(command) + value
+    return head + b"\x02" + _at_name(command) + value
 
 
 def transmit_request(frame_id: int, address: int, payload: bytes) -> bytes:

@@ -13,7 +13,6 @@ from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.source_statistics import SourceStats
-from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoding import (
     Decoder,
     TelemetryGroup,
@@ -25,6 +24,7 @@ from skygcs.core.vehicle.decoding import (
     firmware_from_banner,
     firmware_from_version,
 )
+from skygcs.core.vehicle.shared_ids import BootClock
 from skygcs.core.vehicle.state import AIRBORNE, FAILSAFE_STATUS, LANDED, STANDBY, name_of
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.ext.logs.curves import MOST_SPANS, Curve, LossCurve, Track

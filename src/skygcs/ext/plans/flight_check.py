@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule
-from skygcs.core.preflight.facts import ReturnSetting, offered_heights
+from skygcs.core.preflight.report import ReturnSetting, offered_heights
 from skygcs.core.vehicle.flight_lock import FlightLock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.errors import RefusedError, TargetError

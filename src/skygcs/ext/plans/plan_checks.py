@@ -13,7 +13,7 @@ from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.monitor.order_check import FORGET
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.plan.margins import DEFAULT, MarginRule
-from skygcs.core.preflight.facts import ReturnSetting
+from skygcs.core.preflight.report import ReturnSetting
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.vehicle import offboard_entry

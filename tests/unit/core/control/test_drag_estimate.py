@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from skygcs.core.control.drag_estimate import ACROSS, LEAST, MOST, MOST_MPS2, DragEstimate, DragObserver
-from skygcs.core.trajectory import MotionLimits, path_within
+from skygcs.core.trajectory import MotionLimits
+from skygcs.core.trajectory.timing import path_within
 from support.examples import thinned
 from support.table import each
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -26,7 +27,6 @@ from skygcs.core.monitor.departures import (
     ReturnHeight,
     Returning,
     departing,
-    departures,
     is_placed,
     known_return_height,
     one_at_a_time,
@@ -42,6 +42,17 @@ SIZE = Footprint()
 MARGIN_M = pair_margin(SIZE, SIZE).total_m
 RETURN = ReturnHeight(15.0, 15.0)
 STEP_S = 0.5
+
+
+def departures(*given: Any) -> Departures:
+    """`departing` without a break."""
+    work = departing(*given)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            decided: Departures = end.value
+            return decided
 
 
 def at(

@@ -10,8 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import skygcs.core.params
-from skygcs.core.params.metadata import MetadataTable, ParamMetadata, decode, encode, merged, table
-from skygcs.core.params.metadata_files import ftp_path, general_file, of_ardupilot, of_px4
+from skygcs.core.params.metadata import (
+    MetadataTable,
+    ParamMetadata,
+    decode,
+    encode,
+    ftp_path,
+    general_file,
+    merged,
+    of_ardupilot,
+    of_px4,
+    table,
+)
 from support.table import each
 
 FOLDER = Path(skygcs.core.params.__file__).parent

@@ -8,10 +8,19 @@ from typing import Any
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
-from skygcs.core.preflight import external_vision, health, settings
+from skygcs.core.preflight import health, settings
 from skygcs.core.preflight.expectations import Expectations, Rule
-from skygcs.core.preflight.facts import Answer, LinkFacts, PreflightFacts
-from skygcs.core.preflight.report import PreflightReport, Severity, Verdict, failed, passed, unknown
+from skygcs.core.preflight.report import (
+    Answer,
+    LinkFacts,
+    PreflightFacts,
+    PreflightReport,
+    Severity,
+    Verdict,
+    failed,
+    passed,
+    unknown,
+)
 from skygcs.core.preflight.table import CHECKS, examine, needed_messages, needed_params
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL, Sticks
 from support.table import each
@@ -432,7 +441,7 @@ INDOORS: dict[str, Value | None] = {
     ],
 )
 def test_a_yaw_of_compasses_that_are_not_used(compasses: dict[str, Value | None], verdict: Verdict) -> None:
-    finding = external_vision.external_vision(facts({**INDOORS, **compasses}), Expectations(mocap=True))
+    finding = health.external_vision(facts({**INDOORS, **compasses}), Expectations(mocap=True))
     assert finding.verdict is verdict
     assert [(fix.name, fix.value) for fix in finding.fixes] == ([("EK3_SRC1_YAW", 6)] if finding.fixes else [])
     assert bool(finding.fixes) is (verdict is Verdict.FAIL)
@@ -441,7 +450,7 @@ def test_a_yaw_of_compasses_that_are_not_used(compasses: dict[str, Value | None]
 @each(("name", "value", "reboot"), [("EKF2_HGT_REF", 1, True), ("EKF2_GPS_CTRL", 7, False), ("EKF2_EV_CTRL", 0, False)])
 def test_a_px4_is_rebooted_for_what_it_reads_at_its_start(name: str, value: int, reboot: bool) -> None:
     answers: dict[str, Value | None] = {"EKF2_EV_CTRL": 11, "EKF2_HGT_REF": 3, "EKF2_GPS_CTRL": 0, name: value}
-    finding = external_vision.external_vision(facts(answers, autopilot="px4"), Expectations(mocap=True))
+    finding = health.external_vision(facts(answers, autopilot="px4"), Expectations(mocap=True))
     assert [fix.name for fix in finding.fixes] == [name]
     assert ("reboot it" in finding.todo) is reboot
 

@@ -6,16 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.trajectory import (
-    MotionLimits,
-    Piece,
-    Trajectory,
-    motion_peaks,
-    path_within,
-    require_within,
-    within_at_speed,
-)
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, motion_peaks, require_within, within_at_speed
 from skygcs.core.trajectory.piecewise import derivative, error_bound, from_power, halves, product, to_power
+from skygcs.core.trajectory.timing import path_within
 from skygcs.errors import TrajectoryError
 from support.examples import examples
 from support.table import each
@@ -98,8 +91,6 @@ def test_limits_name_what_where_and_how_much() -> None:
     with pytest.raises(TrajectoryError, match=r"piece 2, up: descent rate of 2 m/s at 1 s; the limit is 1\.5 m/s"):
         require_within(sinking, MotionLimits())
     require_within(sinking, MotionLimits(descent_mps=2.0))
-    with pytest.raises(TrajectoryError, match="descent rate of 3 m/s"):
-        require_within(sinking, MotionLimits(descent_mps=2.0), speed_factor=1.5)
 
 
 @each("value", [0.0, -1.0, math.nan, 1e9])

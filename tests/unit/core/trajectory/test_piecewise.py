@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.trajectory import Piece, Trajectory, hover, joints, require_continuous
+from skygcs.core.trajectory import Piece, Trajectory, joints, require_continuous
 from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_PIECES
+from skygcs.core.trajectory.timing import hover
 from skygcs.errors import TrajectoryError
 from support.table import each
 

@@ -7,15 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.trajectory import (
-    MotionLimits,
-    TimedPoint,
-    joints,
-    path_within,
-    require_continuous,
-    require_within,
-    straight_lines,
-)
+from skygcs.core.trajectory import MotionLimits, joints, require_continuous, require_within
+from skygcs.core.trajectory.timing import TimedPoint, path_within, straight_lines
 from skygcs.errors import TrajectoryError
 from support.examples import examples
 from support.table import each

@@ -6,14 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.trajectory import (
-    MotionLimits,
-    Piece,
-    Trajectory,
-    TrajectoryClock,
-    motion_peaks,
-    path_within,
-)
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, TrajectoryClock, motion_peaks
+from skygcs.core.trajectory.timing import path_within
 from skygcs.core.trajectory.trajectory_clock import ClockState, rate_limit
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
 from skygcs.errors import RefusedError, TrajectoryError

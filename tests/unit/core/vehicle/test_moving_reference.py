@@ -16,9 +16,9 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle import setpoint
-from skygcs.core.vehicle.estimator_origin import METRES_PER_DEG, EstimatorOrigin
 from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import PX4_RESPONSE_S
+from skygcs.core.vehicle.origin import METRES_PER_DEG, EstimatorOrigin
 from skygcs.core.vehicle.setpoint_generator import Tick
 from skygcs.errors import RefusedError
 from support.table import each

@@ -118,7 +118,7 @@ class StateBatch:
     vehicles: tuple[VehicleRow, ...]
 
 
-def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> VehicleRow | None:
+def row_from_state(state: Mapping[str, Any]) -> VehicleRow | None:
     """The row of a daemon's state, which has STATE_GROUPS. None if its name or ids cannot be sent."""
     # identity: without a valid one there is no row
     name, sysid, compid = state.get("name"), state.get("sysid"), state.get("compid")
@@ -161,7 +161,7 @@ def row_from_state(state: Mapping[str, Any], lease: RowLease | None = None) -> V
         gps_fix=_word(gps.get("fix")),
         satellites=_count(gps.get("satellites")),
         control=_word(control.get("state")),
-        lease=lease,
+        lease=None,
     )
 
 

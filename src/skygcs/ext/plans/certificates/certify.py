@@ -14,8 +14,9 @@ import numpy as np
 from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Motion
 from skygcs.core.plan.segment_distance import SLACK_M, scaled, segment_segment
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, joints, require_continuous, require_within
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, joints, require_continuous, require_within
 from skygcs.core.trajectory.piecewise import Vector
+from skygcs.core.trajectory.timing import hover
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.ext.plans.certificates.bernstein_arrays import UNIT, gathered, halved, squared_norm
 from skygcs.ext.plans.certificates.certificate import Approach, Certificate, SpaceProblem

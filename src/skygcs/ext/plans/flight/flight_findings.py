@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from skygcs.core.preflight.facts import ReturnSetting, offered_heights
+from skygcs.core.preflight.report import ReturnSetting, offered_heights
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.remedies import Remedy
 from skygcs.number_text import rounded

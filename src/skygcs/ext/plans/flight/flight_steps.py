@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, Plan, TimedPlan
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, path_within
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MIN_PIECE_S, Vector
 from skygcs.core.trajectory.splitting import shifted
-from skygcs.core.trajectory.timing import SAME_PLACE_M
+from skygcs.core.trajectory.timing import SAME_PLACE_M, hover, path_within
 
 Places = Mapping[str, Vector]
 

@@ -24,8 +24,9 @@ from typing import NamedTuple
 from skygcs.core.control.braking import LossReach, fence_ahead
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.trajectory import ClockState, MotionLimits, path_within
+from skygcs.core.trajectory import ClockState, MotionLimits
 from skygcs.core.trajectory.piecewise import Vector
+from skygcs.core.trajectory.timing import path_within
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight, common_clock
 from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_steps import FlightStep

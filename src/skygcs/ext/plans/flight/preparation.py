@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import JUMPS, TIMING, MarginRule, Uncertainty
-from skygcs.core.trajectory import hover
 from skygcs.core.trajectory.piecewise import Vector
+from skygcs.core.trajectory.timing import hover
 from skygcs.errors import RefusedError, SkygcsError
 from skygcs.ext.plans.certificates.certificate import Certificate
 from skygcs.ext.plans.certificates.certify import certify, motions_of

@@ -23,8 +23,9 @@ from skygcs.core.plan.file_reading import json_of
 from skygcs.core.plan.fleet_plan import FlightSpace, Plan
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.plan.plan_json import plan_content, space_content
-from skygcs.core.trajectory import MotionLimits, TimedPoint, Trajectory, path_within, straight_lines
+from skygcs.core.trajectory import MotionLimits, Trajectory
 from skygcs.core.trajectory.piecewise import Vector
+from skygcs.core.trajectory.timing import TimedPoint, path_within, straight_lines
 from skygcs.errors import TrajectoryError
 
 Places = Mapping[str, Vector]

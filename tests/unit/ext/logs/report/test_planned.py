@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
-from skygcs.core.trajectory import MotionLimits, path_within
+from skygcs.core.trajectory import MotionLimits
+from skygcs.core.trajectory.timing import path_within
 from skygcs.ext.logs.report.day_figures import DayReport, VehicleDay
 from skygcs.ext.logs.report.planned import add_plan, planned_paths, system_of
 

@@ -16,7 +16,8 @@ from bench.plans.refusals import Case, cases, line, passing
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Motion, Uncertainty
 from skygcs.core.plan.segment_distance import SLACK_M, segment_segment
-from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, motion_peaks
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, motion_peaks
+from skygcs.core.trajectory.timing import hover
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.ext.plans.certificates import certify as certifying
 from skygcs.ext.plans.certificates import space_check

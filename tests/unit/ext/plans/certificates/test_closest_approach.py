@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from bench.plans import checker
 from bench.plans.random_plans import _curve
-from skygcs.core.trajectory import Piece, Trajectory, hover
+from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.core.trajectory.timing import hover
 from skygcs.ext.plans.certificates import closest_approach
 from skygcs.ext.plans.certificates.bernstein_arrays import gathered, halved, restricted, squared_norm
 from skygcs.ext.plans.certificates.closest_approach import TOLERANCE_M, _Intervals, least_clearance

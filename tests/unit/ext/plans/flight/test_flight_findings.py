@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.mavlink.param_encoding import Param
 from skygcs.core.mavlink.vehicle_class import TABLE, VehicleClass
-from skygcs.core.preflight.facts import ReturnSetting, offered_heights
+from skygcs.core.preflight.report import ReturnSetting, offered_heights
 from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.vehicle.flight_note import FlightRecord
 from skygcs.ext.plans import plan_checks

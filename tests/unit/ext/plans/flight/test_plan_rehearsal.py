@@ -8,7 +8,8 @@ from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, LossReach
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import Origin
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
-from skygcs.core.trajectory import MotionLimits, path_within
+from skygcs.core.trajectory import MotionLimits
+from skygcs.core.trajectory.timing import path_within
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, phased_steps, steps_of
 from skygcs.ext.plans.flight.plan_rehearsal import (
