@@ -41,10 +41,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
       <a class="skip" href="#main">Skip to the fleet</a>
       <header class="top">
         <h1 class="unseen">skygcs</h1>
-        <span class="brand" aria-hidden="true">
-          <svg viewBox="0 0 24 24" width="22" height="22"><path d="M12 2 20 21 12 17 4 21z" /></svg>
-          skygcs
-        </span>
+        <span class="brand" aria-hidden="true"><svg viewBox="0 0 24 24" width="22" height="22"><path d="M12 2 20 21 12 17 4 21z" /></svg>skygcs</span>
         <nav class="pages" aria-label="Pages">
           <PageTab id={FLEET} title="Fleet" now={open === undefined} go={go} />
           {panels.filter((panel) => panel.place === "page").map((panel) => (
@@ -90,12 +87,7 @@ function usePage(): [string, (id: string) => void] {
 }
 
 function PageTab({ id, title, now, go, badge }: { id: string; title: string; now: boolean; go: (id: string) => void; badge?: preact.ComponentChildren }) {
-  return (
-    <button type="button" class="tab" aria-current={now ? "page" : undefined} onClick={() => go(id)}>
-      {title}
-      {badge}
-    </button>
-  );
+  return <button type="button" class="tab" aria-current={now ? "page" : undefined} onClick={() => go(id)}>{title}{badge}</button>;
 }
 
 function Badge({ store, panel }: { store: Store; panel: Panel }) {
@@ -149,12 +141,7 @@ function Fleet({ hidden, sides, ...props }: PanelProps & { hidden: boolean; side
 }
 
 function SideTab({ id, title, now, open, badge }: { id: string; title: string; now: boolean; open: (id: string) => void; badge?: preact.ComponentChildren }) {
-  return (
-    <button type="button" role="tab" class="tab" aria-selected={now} onClick={() => open(id)}>
-      {title}
-      {badge}
-    </button>
-  );
+  return <button type="button" role="tab" class="tab" aria-selected={now} onClick={() => open(id)}>{title}{badge}</button>;
 }
 
 type Components = typeof import("./panels/components.ts");

@@ -27,13 +27,7 @@ export interface Column {
 
 const HIGH_LOSS = 0.05;
 export const COLUMNS: readonly Column[] = [
-  {
-    id: "name",
-    title: "Name",
-    narrow: true,
-    cell: (v) => ({ ...cell(v.name), under: v.mode ?? "" }),
-    sortBy: (v) => v.name,
-  },
+  { id: "name", title: "Name", narrow: true, cell: (v) => ({ ...cell(v.name), under: v.mode ?? "" }), sortBy: (v) => v.name },
   { id: "id", title: "Id", numeric: true, cell: (v) => cell(String(v.sysid), v.duplicate_sysid ? "danger" : "muted"), sortBy: (v) => v.sysid },
   {
     id: "autopilot",
@@ -42,14 +36,7 @@ export const COLUMNS: readonly Column[] = [
     sortBy: (v) => `${v.autopilot} ${v.firmware ?? ""}`,
   },
   { id: "mode", title: "Mode", cell: (v) => cell(v.mode), sortBy: (v) => v.mode },
-  {
-    id: "status",
-    title: "Status",
-    narrow: true,
-    ofNow: true,
-    cell: (v, now, around) => onPhone(statusOf(v, now, around), v),
-    sortBy: statusRank,
-  },
+  { id: "status", title: "Status", narrow: true, ofNow: true, cell: (v, now, around) => onPhone(statusOf(v, now, around), v), sortBy: statusRank },
   { id: "armed", title: "Armed", cell: armedCell, sortBy: (v) => (v.armed === true ? 0 : 1) },
   {
     id: "height",
@@ -122,10 +109,7 @@ function gpsCell(v: Vehicle, now_s: number): Cell {
 function bestLink(v: Vehicle): { name: string; loss: number | null } | null {
   const links = Object.entries(v.links);
   const [first] = links.sort(
-    ([, a], [, b]) =>
-      Number(b.chosen ?? 0) - Number(a.chosen ?? 0) ||
-      a.age_s - b.age_s ||
-      (a.loss_ratio ?? 1) - (b.loss_ratio ?? 1),
+    ([, a], [, b]) => Number(b.chosen ?? 0) - Number(a.chosen ?? 0) || a.age_s - b.age_s || (a.loss_ratio ?? 1) - (b.loss_ratio ?? 1),
   );
   return first === undefined ? null : { name: first[0], loss: first[1].loss_ratio };
 }
@@ -241,9 +225,7 @@ export function rowsOf(vehicles: readonly Vehicle[], grouping: Grouping): Row[] 
     if (members === undefined) groups.set(title, [vehicle]);
     else members.push(vehicle);
   }
-  return [...groups]
-    .sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true }))
-    .flatMap(([title, members]): Row[] => [
+  return [...groups].sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true })).flatMap(([title, members]): Row[] => [
       { kind: "group", title, names: members.map((vehicle) => vehicle.name) },
       ...members.map((vehicle): Row => ({ kind: "vehicle", vehicle })),
     ]);

@@ -51,10 +51,7 @@ export class NoAnswer extends Error {
   }
 }
 
-export type Phase =
-  | { kind: "connecting" }
-  | { kind: "open" }
-  | { kind: "lost"; retryInMs: number; attempt: number; reason: string };
+export type Phase = { kind: "connecting" } | { kind: "open" } | { kind: "lost"; retryInMs: number; attempt: number; reason: string };
 
 /** The part of WebSocket that is used, so that tests can play the server. */
 export interface Socket {

@@ -53,9 +53,7 @@ function Targets({ store, targets }: PanelProps & { targets: readonly string[] }
   return (
     <section class="targets" aria-label="Targets">
       <p class="for" aria-live="polite">
-        {targets.length === 0 ? (
-          <span class="muted">Select vehicles in the view or the table.</span>
-        ) : (
+        {targets.length === 0 ? <span class="muted">Select vehicles in the view or the table.</span> : (
           <><b>{targets.length === all.length && all.length > 1 ? `All ${all.length}` : targets.length === 1 ? targets[0] : `${targets.length} vehicles`}</b>
             {targets.length > 1 && <span class="muted"> {namesText(targets, 6)}</span>}</>
         )}
@@ -162,9 +160,7 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
         <span>Mode</span>
         <select value={mode} disabled={!enabled} onChange={(event) => setMode(event.currentTarget.value)}>
           <option value="">choose</option>
-          <optgroup label="By meaning, for any firmware">
-            {MEANINGS.map(({ title }) => <option key={title} value={title}>{title}</option>)}
-          </optgroup>
+          <optgroup label="By meaning, for any firmware">{MEANINGS.map(({ title }) => <option key={title} value={title}>{title}</option>)}</optgroup>
           {names.length > 0 && <optgroup label="By name">{names.map((name) => <option key={name} value={name}>{name}</option>)}</optgroup>}
         </select>
       </label>

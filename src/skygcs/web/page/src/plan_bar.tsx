@@ -45,9 +45,7 @@ export function PlanButtons({ store, connection, status }: { store: Store; conne
     <>
       {HALTED.has(status.state) ? (
         <HoldButton targets={targets} what={`Resume the plan of ${namesText(targets)}`} act={() => order("Resume plan", "plan.resume")}>Resume</HoldButton>
-      ) : (
-        <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>Pause</button>
-      )}
+      ) : <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>Pause</button>}
       <button type="button" onClick={() => order("Land the plan's vehicles", "plan.land")}>Land</button>
     </>
   );

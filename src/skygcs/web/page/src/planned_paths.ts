@@ -46,8 +46,7 @@ export function beginPlannedPaths(store: Store, connection: Connection, view: Fl
   const turn = (): void => {
     if (asking) return;
     asking = true;
-    ask()
-      .catch(() => { key = null; }) // a lost connection, say: the next turn asks for all of them
+    ask().catch(() => { key = null; }) // a lost connection, say: the next turn asks for all of them
       .finally(() => { asking = false; });
   };
   const timer = setInterval(turn, EVERY_MS);

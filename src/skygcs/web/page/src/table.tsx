@@ -103,17 +103,13 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
       </div>
       <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
         <table hidden={empty} aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
-          <thead>
-            <tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr>
-          </thead>
+          <thead><tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr></thead>
           <tbody>
             <Spacer rows={window.first} rowPx={rowPx} />
             {shown.map((row, i) =>
               row.kind === "site" ? (
                 <SiteHeading key={`/${row.counts.site}`} row={row} width={columns.length} own={state.daemon?.site ?? null} store={store} />
-              ) : row.kind === "group" ? (
-                <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} />
-              ) : (
+              ) : row.kind === "group" ? <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} /> : (
                 <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} around={state} index={window.first + i}
                   selected={state.selection.has(row.vehicle.name)} cursor={cursor === row.vehicle.name} narrow={narrow} pick={pick} />
               ),

@@ -68,11 +68,7 @@ export function pointsTool(keeper: DrawingKeeper, hint: string, heightM: () => n
 }
 
 /** Drags named places, and adds none. */
-export function goalsTool(
-  get: () => ReadonlyMap<string, Vec3>,
-  set: (name: string, place: Vec3) => void,
-  hint: string,
-): Tool {
+export function goalsTool(get: () => ReadonlyMap<string, Vec3>, set: (name: string, place: Vec3) => void, hint: string): Tool {
   let dragged: string | null = null;
   return {
     cursor: "move",
@@ -97,9 +93,7 @@ export function drawnShapes(drawing: Drawing, closed: boolean): Shape[] {
   const { points, selected } = drawing;
   const shapes: Shape[] = [];
   if (points.length > 1) shapes.push({ kind: "path", points, ink: "draft", closed: closed && points.length > 2, filled: closed });
-  points.forEach((at, i) => {
-    shapes.push({ kind: "mark", at, symbol: "handle", ink: "draft", text: String(i + 1), emphasised: i === selected });
-  });
+  points.forEach((at, i) => { shapes.push({ kind: "mark", at, symbol: "handle", ink: "draft", text: String(i + 1), emphasised: i === selected }); });
   return shapes;
 }
 

@@ -89,16 +89,11 @@ export function groupText({ head, names }: EventGroup): string {
   if (names.length === 0) return head.text;
   const who = namesText(names, 6);
   switch (head.kind) {
-    case "mode":
-      return `→ ${String(head.data["mode"])}: ${who}`;
-    case "vehicle_lost":
-      return `lost: ${who}`;
-    case "vehicle_back":
-      return `back: ${who}`;
-    case "vehicle_discovered":
-      return `discovered: ${who}`;
-    default:
-      return `${head.text}: ${who}`;
+    case "mode": return `→ ${String(head.data["mode"])}: ${who}`;
+    case "vehicle_lost": return `lost: ${who}`;
+    case "vehicle_back": return `back: ${who}`;
+    case "vehicle_discovered": return `discovered: ${who}`;
+    default: return `${head.text}: ${who}`;
   }
 }
 

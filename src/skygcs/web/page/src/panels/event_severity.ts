@@ -27,30 +27,19 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
   const grounded = armed === false ? "warning" : "alarm";
   switch (event.kind) {
     case "fault":
-    case "takeoff":
-      return "alarm";
-    case "statustext":
-      return textSeverity(event.text, data["level"], grounded);
-    case "failsafe":
-      return data["failsafe"] === false ? "info" : "alarm";
-    case "vehicle_lost":
-      return data["forgotten"] === true ? "warning" : grounded;
+    case "takeoff": return "alarm";
+    case "statustext": return textSeverity(event.text, data["level"], grounded);
+    case "failsafe": return data["failsafe"] === false ? "info" : "alarm";
+    case "vehicle_lost": return data["forgotten"] === true ? "warning" : grounded;
     case "unattended":
     case "uplink_lost":
-    case "ground_lost":
-      return grounded;
-    case "fence":
-      return data["outside"] === true ? grounded : "info";
-    case "duplicate":
-      return data["change"] === "duplicate_over" ? "info" : "alarm";
-    case "separation":
-      return separationSeverity(data);
-    case "system_status":
-      return isBad(data["system_status"]) || isBad(data["status"]) ? "alarm" : "info";
-    case "plan":
-      return planSeverity(data["state"]);
-    case "control":
-      return data["state"] === "held" ? "alarm" : "info";
+    case "ground_lost": return grounded;
+    case "fence": return data["outside"] === true ? grounded : "info";
+    case "duplicate": return data["change"] === "duplicate_over" ? "info" : "alarm";
+    case "separation": return separationSeverity(data);
+    case "system_status": return isBad(data["system_status"]) || isBad(data["status"]) ? "alarm" : "info";
+    case "plan": return planSeverity(data["state"]);
+    case "control": return data["state"] === "held" ? "alarm" : "info";
     case "command":
       if (data["order"] === "stop" && data["ok"] === false && data["result"] !== "cancelled") return "alarm";
       return isFailed(data) ? "warning" : "info";
@@ -61,8 +50,7 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
     case "warning":
       // the operator watchdog: nobody touched anything, and vehicles are brought down
       return data["action"] !== undefined && data["vehicles"] !== undefined ? "alarm" : "warning";
-    default:
-      return WARNINGS.has(event.kind) ? "warning" : "info";
+    default: return WARNINGS.has(event.kind) ? "warning" : "info";
   }
 }
 
@@ -76,12 +64,9 @@ function separationSeverity(data: FleetEvent["data"]): Severity {
   if (data["watched"] === false) return "warning";
   switch (data["level"]) {
     case "action":
-    case "warning":
-      return "alarm";
-    case "notice":
-      return "warning";
-    default:
-      return "info";
+    case "warning": return "alarm";
+    case "notice": return "warning";
+    default: return "info";
   }
 }
 
@@ -117,14 +102,9 @@ export interface JudgedEvent extends NumberedEvent {
 }
 
 /** The events that pass, newest first. */
-export function shownEvents(
-  events: readonly JudgedEvent[],
-  filter: EventFilter,
-  acknowledged: ReadonlySet<string>,
-): JudgedEvent[] {
+export function shownEvents(events: readonly JudgedEvent[], filter: EventFilter, acknowledged: ReadonlySet<string>): JudgedEvent[] {
   const words = filter.words.toLowerCase().split(/\s+/).filter(Boolean);
-  return events
-    .filter((event) => {
+  return events.filter((event) => {
       if (!filter.severities.has(event.severity)) return false;
       if (filter.vehicles !== null && (event.vehicle === null || !filter.vehicles.has(event.vehicle))) return false;
       if (filter.open && (event.severity === "info" || acknowledged.has(keyOf(event)))) return false;

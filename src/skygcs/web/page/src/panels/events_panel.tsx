@@ -45,9 +45,7 @@ export default function EventsPanel({ store, connection }: PanelProps) {
             {NAMES[one]} <b>{counts.get(one)}</b>
           </button>
         ))}
-        <button type="button" class="chip" aria-pressed={open} onClick={() => setOpen(!open)}>
-          Not acknowledged
-        </button>
+        <button type="button" class="chip" aria-pressed={open} onClick={() => setOpen(!open)}>Not acknowledged</button>
         <button type="button" class="chip" aria-pressed={selected} disabled={selection.size === 0} onClick={() => setSelected(!selected)}>
           Selected vehicles
         </button>
@@ -127,12 +125,8 @@ function EventRow({ group, select, open = false, toggle, inner = false }: RowPro
     <li data-severity={severity} data-open={unseen.length > 0} data-inner={inner}>
       <time class="muted">{timeText(head.time_unix_s)}</time>
       <span class="severity">{NAME[severity]}</span>
-      {targets.length === 0 ? (
-        <span class="who muted">–</span>
-      ) : (
-        <button type="button" class="link who" onClick={() => select(targets)}>
-          {names.length > 0 ? manyText(group) : head.vehicle}
-        </button>
+      {targets.length === 0 ? <span class="who muted">–</span> : (
+        <button type="button" class="link who" onClick={() => select(targets)}>{names.length > 0 ? manyText(group) : head.vehicle}</button>
       )}
       <span class="kind muted">{head.kind.replaceAll("_", " ")}</span>
       <span class="what">

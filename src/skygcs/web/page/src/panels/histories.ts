@@ -59,16 +59,7 @@ function rowOf(vehicle: Vehicle): (number | null | undefined)[] {
   const speed = vfr?.groundspeed_mps ?? (velocity === null || velocity === undefined ? null : Math.hypot(velocity[0], velocity[1]));
   const losses = Object.values(vehicle.links).map((link) => link.loss_ratio).filter((loss) => loss !== null);
   const loss = losses.length === 0 ? null : Math.min(...losses) * 100;
-  return [
-    position?.alt_rel_m,
-    speed,
-    vfr?.climb_mps ?? velocity?.[2],
-    battery?.volts,
-    battery?.percent,
-    loss,
-    uplink?.rtt_s,
-    gps?.satellites,
-  ];
+  return [position?.alt_rel_m, speed, vfr?.climb_mps ?? velocity?.[2], battery?.volts, battery?.percent, loss, uplink?.rtt_s, gps?.satellites];
 }
 
 /** One for the page: panels come and go, what was recorded stays. */

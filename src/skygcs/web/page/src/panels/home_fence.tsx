@@ -121,9 +121,7 @@ export function HomeFencePanel({ store, connection, targets }: PanelProps & { ta
               what={`Set the fence of ${whom}: ${fenceText(form)}`} act={() => void set()}>
               Set fence
             </HoldButton>
-            <button type="button" disabled={busy} onClick={() => void read()}>
-              {busy ? "Reading …" : "Read from the vehicles"}
-            </button>
+            <button type="button" disabled={busy} onClick={() => void read()}>{busy ? "Reading …" : "Read from the vehicles"}</button>
           </div>
         </>
       )}
@@ -136,14 +134,7 @@ export function HomeFencePanel({ store, connection, targets }: PanelProps & { ta
 function Fences({ outcomes }: { outcomes: Outcomes }) {
   return (
     <table class="plain" aria-label="Fences about home">
-      <thead>
-        <tr>
-          <th>vehicle</th>
-          <th class="number">radius</th>
-          <th class="number">height</th>
-          <th>outside of it</th>
-        </tr>
-      </thead>
+      <thead><tr><th>vehicle</th><th class="number">radius</th><th class="number">height</th><th>outside of it</th></tr></thead>
       <tbody>
         {Object.entries(outcomes).map(([name, { ok, message, fence }]) => (
           <tr key={name}>

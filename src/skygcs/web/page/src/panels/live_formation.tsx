@@ -134,9 +134,7 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
         </HoldButton>
       </div>
       <div class="row">
-        <button type="button" class="primary" onClick={() => order("Stop formation", "formation.stop", {})}>
-          Stop: all brake and hold
-        </button>
+        <button type="button" class="primary" onClick={() => order("Stop formation", "formation.stop", {})}>Stop: all brake and hold</button>
       </div>
     </>
   );
@@ -166,9 +164,7 @@ function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {
         <NumberField label="Heading" unit="° from x" value={heading} least={-360} most={360} onValue={(value) => value !== null && setHeading(value)} />
         <Choice label="Leader" value={leader} options={[[VIRTUAL, "a point"], ...leaders.map((name) => [name, name] as const)]} onValue={setLeader} />
       </div>
-      {targets.length === 0 ? (
-        <p class="muted">Select the vehicles that are to follow.</p>
-      ) : (
+      {targets.length === 0 ? <p class="muted">Select the vehicles that are to follow.</p> : (
         <HoldButton targets={targets} what={`Fly ${namesText(targets)} as a formation`} act={start}>
           {flies ? `New places for ${targets.length}` : `Start formation of ${targets.length}`}
         </HoldButton>

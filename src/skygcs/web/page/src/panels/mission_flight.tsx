@@ -76,12 +76,8 @@ function Buttons({ store, connection, status, targets }: FlightProps) {
           End the turns
         </button>
       )}
-      <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
-        Pause
-      </button>
-      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>
-        Resume
-      </HoldButton>
+      <button type="button" onClick={() => order("Pause mission", "missions.pause")}>Pause</button>
+      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>Resume</HoldButton>
       <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
       <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
         Go to it
@@ -122,14 +118,8 @@ function Download(props: PanelProps & { name: string; showDownloaded: (file: Fil
   const { file } = state;
   return (
     <div class="row wrap">
-      <button type="button" disabled={state.busy} onClick={() => void read()}>
-        {state.busy ? "Reading …" : `Read from ${name}`}
-      </button>
-      {file !== null && (
-        <button type="button" onClick={() => keepFile(file.name, file.text ?? "")}>
-          Save to file
-        </button>
-      )}
+      <button type="button" disabled={state.busy} onClick={() => void read()}>{state.busy ? "Reading …" : `Read from ${name}`}</button>
+      {file !== null && <button type="button" onClick={() => keepFile(file.name, file.text ?? "")}>Save to file</button>}
       <Failure text={state.error} />
     </div>
   );

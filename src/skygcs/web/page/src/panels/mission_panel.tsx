@@ -177,10 +177,7 @@ function Drawn(props: PanelProps & { what: What; keeper: DraftKeeper; several: S
   const tool = useTool(
     view,
     () => {
-      const points = {
-        get: () => latest.current.draft.drawing,
-        set: (drawing: Drawing) => latest.current.draw(drawing),
-      };
+      const points = { get: () => latest.current.draft.drawing, set: (drawing: Drawing) => latest.current.draw(drawing) };
       const hint = what === "circle" ? "Click: the middle of the fence. Drag moves it." : "Click: a point. Drag moves one.";
       return pointsTool(points, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined);
     },
@@ -218,22 +215,17 @@ function Drawn(props: PanelProps & { what: What; keeper: DraftKeeper; several: S
 
 function hintOf(what: What): string {
   switch (what) {
-    case "mission":
-      return "Click waypoints on the view; drag them; their heights are above home.";
-    case "polygon":
-      return "Click the corners of the fence on the view.";
-    default:
-      return "Click the middle of the fence on the view.";
+    case "mission": return "Click waypoints on the view; drag them; their heights are above home.";
+    case "polygon": return "Click the corners of the fence on the view.";
+    default: return "Click the middle of the fence on the view.";
   }
 }
 
 function drawnParams(what: What, draft: Draft): object | null {
   const { points } = draft.drawing;
   switch (what) {
-    case "mission":
-      return points.length === 0 ? null : { waypoints: points, takeoff_height_m: draft.takeoffM, end: draft.end };
-    case "polygon":
-      return points.length < 3 ? null : { polygons: [{ inclusion: draft.inclusion, corners: points.map(([x, y]) => [x, y]) }] };
+    case "mission": return points.length === 0 ? null : { waypoints: points, takeoff_height_m: draft.takeoffM, end: draft.end };
+    case "polygon": return points.length < 3 ? null : { polygons: [{ inclusion: draft.inclusion, corners: points.map(([x, y]) => [x, y]) }] };
     default: {
       const [centre] = points;
       return centre === undefined ? null : { circles: [{ inclusion: draft.inclusion, center: [centre[0], centre[1]], radius_m: draft.radiusM }] };
@@ -260,21 +252,15 @@ function Points({ drawing, draw, heights }: { drawing: Drawing; draw: (drawing: 
       <ol class="points" aria-label="Points">
         {points.map(([x, y, up], i) => (
           <li key={i} aria-selected={i === selected}>
-            <button type="button" class="link" onClick={() => set(points, i)}>
-              {x.toFixed(1)}, {y.toFixed(1)}
-            </button>
+            <button type="button" class="link" onClick={() => set(points, i)}>{x.toFixed(1)}, {y.toFixed(1)}</button>
             {heights && (
               <NumberField label={`Height of point ${i + 1}`} unit="m" value={up} least={0.5} most={500} onValue={(value) => value !== null && set(points.map((point, k): Vec3 => (k === i ? [point[0], point[1], value] : point)), i)} />
             )}
-            <button type="button" class="quiet" aria-label={`Remove point ${i + 1}`} onClick={() => set(without(points, i), null)}>
-              ×
-            </button>
+            <button type="button" class="quiet" aria-label={`Remove point ${i + 1}`} onClick={() => set(without(points, i), null)}>×</button>
           </li>
         ))}
       </ol>
-      <button type="button" onClick={() => set([], null)}>
-        Clear the drawing
-      </button>
+      <button type="button" onClick={() => set([], null)}>Clear the drawing</button>
     </>
   );
 }

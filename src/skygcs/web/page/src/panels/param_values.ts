@@ -64,9 +64,7 @@ export function rangeOf(type: string): ValueRange {
   const known = BITS[type];
   if (known === undefined) return { least: -FLOAT_MOST, most: FLOAT_MOST, whole: false };
   const [bits, signed] = known;
-  return signed
-    ? { least: -(2 ** (bits - 1)), most: 2 ** (bits - 1) - 1, whole: true }
-    : { least: 0, most: 2 ** bits - 1, whole: true };
+  return signed ? { least: -(2 ** (bits - 1)), most: 2 ** (bits - 1) - 1, whole: true } : { least: 0, most: 2 ** bits - 1, whole: true };
 }
 
 /** "a whole number from -128 to 127", "a number". */
@@ -110,10 +108,7 @@ export function valueText(value: number | null): string {
 
 /** Words that are all in the name; a word with * or ? is a pattern for the whole name. */
 export function matches(name: string, search: string): boolean {
-  return search
-    .toUpperCase()
-    .split(/\s+/)
-    .filter(Boolean)
+  return search.toUpperCase().split(/\s+/).filter(Boolean)
     .every((word) => (/[*?]/.test(word) ? pattern(word).test(name) : name.toUpperCase().includes(word)));
 }
 

@@ -32,9 +32,7 @@ export function usePolled<T>(store: Store, connection: Connection, method: strin
     if (method === null) return undefined;
     let here = true;
     let timer: ReturnType<typeof setTimeout> | undefined;
-    const turnOver = (): void => {
-      timer = setTimeout(() => void next(), everyMs);
-    };
+    const turnOver = (): void => { timer = setTimeout(() => void next(), everyMs); };
     const next = async (): Promise<void> => {
       if (document.visibilityState === "hidden") {
         turnOver();
@@ -166,9 +164,7 @@ export function DropZone(props: { label: string; accept: string; several?: boole
         take(event.dataTransfer?.files);
       }}
     >
-      <button type="button" onClick={() => input.current?.click()}>
-        {props.label}
-      </button>
+      <button type="button" onClick={() => input.current?.click()}>{props.label}</button>
       <span class="muted bymouse">or drop it here</span>
       <input
         ref={input}
@@ -211,10 +207,7 @@ export function Age({ age_s, old_s = 5 }: { age_s: number | null; old_s?: number
 export function Fold({ title, side, open = false, children }: { title: ComponentChildren; side?: ComponentChildren; open?: boolean; children: ComponentChildren }) {
   return (
     <details class="fold" open={open}>
-      <summary>
-        <span class="foldtitle">{title}</span>
-        {side !== undefined && <span class="foldside">{side}</span>}
-      </summary>
+      <summary><span class="foldtitle">{title}</span>{side !== undefined && <span class="foldside">{side}</span>}</summary>
       {children}
     </details>
   );
@@ -237,13 +230,9 @@ export function PlainTable<T>({ rows, keyOf, columns, row: more, caption, class:
   return (
     <table class={`plain ${kind}`}>
       {caption !== undefined && <caption>{caption}</caption>}
-      <thead>
-        <tr>{columns.map(([title, , of], i) => <th key={i} class={of}>{title}</th>)}</tr>
-      </thead>
+      <thead><tr>{columns.map(([title, , of], i) => <th key={i} class={of}>{title}</th>)}</tr></thead>
       <tbody>
-        {rows.map((row) => (
-          <tr key={keyOf(row)} {...more?.(row)}>{columns.map(([, cell, of], i) => <td key={i} class={of}>{cell(row)}</td>)}</tr>
-        ))}
+        {rows.map((row) => <tr key={keyOf(row)} {...more?.(row)}>{columns.map(([, cell, of], i) => <td key={i} class={of}>{cell(row)}</td>)}</tr>)}
       </tbody>
     </table>
   );
@@ -252,9 +241,7 @@ export function PlainTable<T>({ rows, keyOf, columns, row: more, caption, class:
 /** Names and values below each other. */
 export function Facts({ facts, raw }: { facts: readonly (readonly [ComponentChildren, ComponentChildren])[]; raw?: boolean }) {
   return (
-    <dl class={raw === true ? "fields raw" : "fields"}>
-      {facts.map(([name, value], i) => <div key={i}><dt>{name}</dt><dd>{value}</dd></div>)}
-    </dl>
+    <dl class={raw === true ? "fields raw" : "fields"}>{facts.map(([name, value], i) => <div key={i}><dt>{name}</dt><dd>{value}</dd></div>)}</dl>
   );
 }
 
@@ -319,11 +306,7 @@ export function Choice<T extends string>(props: { label: string; value: T; optio
     <label class="field">
       <span>{props.label}</span>
       <select value={props.value} onChange={(event) => props.onValue(event.currentTarget.value as T)}>
-        {props.options.map(([value, text]) => (
-          <option key={value} value={value}>
-            {text}
-          </option>
-        ))}
+        {props.options.map(([value, text]) => <option key={value} value={value}>{text}</option>)}
       </select>
     </label>
   );

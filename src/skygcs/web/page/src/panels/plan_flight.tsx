@@ -88,9 +88,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
       {status.kind === "timed" && (
         <div class="row">
           <NumberField label="Speed" unit="×" value={speed} least={0.1} most={2} onValue={setSpeed} />
-          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed })}>
-            Change
-          </button>
+          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed })}>Change</button>
         </div>
       )}
     </>
@@ -141,8 +139,7 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
   };
   if (checked === null) return status === null || status.state === "none" ? <p class="note">Open or make a plan to fly it.</p> : null;
   const whom = namesText(targets);
-  const heights = Object.entries(report?.return_heights ?? {})
-    .filter(([, [is, offered]]) => is !== offered)
+  const heights = Object.entries(report?.return_heights ?? {}).filter(([, [is, offered]]) => is !== offered)
     .map(([name, [, offered]]) => `${name} ${offered} m`);
   const insists = report !== null && !report.ok && report.findings.filter((one) => one.severity === "refused").every((one) => one.insist);
   return (
@@ -157,9 +154,7 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
       <Failure text={error} />
       {report !== null && <ReportView report={report} />}
       {report !== null && report.ok && (
-        <HoldButton targets={targets} what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>
-          Fly it
-        </HoldButton>
+        <HoldButton targets={targets} what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>Fly it</HoldButton>
       )}
       {report !== null && !report.ok && heights.length > 0 && (
         <HoldButton targets={targets} what={`Set the return heights (${heights.join(", ")}) and fly the plan with ${whom}`} act={() => void run({ set_return_heights: true })}>
@@ -195,9 +190,7 @@ function ReportView({ report }: { report: Report }) {
         ))}
       </ul>
       {findings.length > shown.length && (
-        <button type="button" class="quiet" onClick={() => setAll(true)}>
-          {findings.length - shown.length} checks passed
-        </button>
+        <button type="button" class="quiet" onClick={() => setAll(true)}>{findings.length - shown.length} checks passed</button>
       )}
       {report.way_there?.closest != null && <p class="muted">On the way to the start: {approachText(report.way_there.closest)}</p>}
       {report.steps.length > 0 && <p class="muted">Steps: {report.steps.map((step) => step.name).join(", ")}</p>}

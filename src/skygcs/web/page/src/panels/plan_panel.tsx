@@ -152,11 +152,7 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   useOverlay(view, SHAPE_OVERLAY, ghosts);
   const tool = useTool(
     view,
-    () => ({
-      cursor: "crosshair",
-      hint: "Click: the middle of the formation.",
-      click: (at) => setMiddle([toDecimetre(at.x), toDecimetre(at.y)]),
-    }),
+    () => ({ cursor: "crosshair", hint: "Click: the middle of the formation.", click: (at) => setMiddle([toDecimetre(at.x), toDecimetre(at.y)]) }),
     "formation",
   );
   const plan = async (): Promise<void> => {
@@ -286,9 +282,7 @@ function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => voi
       <header class="row">
         <h3>{checked.name}</h3>
         <span class={checked.ok ? "verdict good" : "verdict failure"}>{checked.ok ? "certified" : "refused"}</span>
-        <button type="button" class="quiet" aria-label="Discard the plan" onClick={discard}>
-          ×
-        </button>
+        <button type="button" class="quiet" aria-label="Discard the plan" onClick={discard}>×</button>
       </header>
       <p>
         {checked.format}
@@ -296,16 +290,9 @@ function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => voi
         {checked.paths !== null && `, ${checked.paths.duration_s.toFixed(1)} s`}
         {checked.attempts.length > 0 && `, ${checked.attempts.at(-1) ?? ""}`}
       </p>
-      {!checked.ok && (
-        <ul class="findings">
-          {checked.reasons.slice(0, 20).map((reason) => <li key={reason} data-verdict="fail">{reason}</li>)}
-        </ul>
-      )}
+      {!checked.ok && <ul class="findings">{checked.reasons.slice(0, 20).map((reason) => <li key={reason} data-verdict="fail">{reason}</li>)}</ul>}
       {certificate?.closest != null && (
-        <>
-          <p>Closest: {approachText(certificate.closest)}</p>
-          <Terms approach={certificate.closest} ratio={certificate.downwash_ratio} />
-        </>
+        <><p>Closest: {approachText(certificate.closest)}</p><Terms approach={certificate.closest} ratio={certificate.downwash_ratio} /></>
       )}
       {checked.paths?.exact === false && <p class="muted">Long: it is drawn by samples; the certificate is exact.</p>}
     </section>

@@ -38,11 +38,7 @@ export interface CheckedPlan {
   attempts: readonly string[];
   goals: Readonly<Record<string, Vec3>>;
   paths: PlanPaths | null;
-  space?: {
-    fence: readonly (readonly [number, number])[];
-    boxes: readonly (readonly [Vec3, Vec3])[];
-    standing: Readonly<Record<string, Vec3>>;
-  };
+  space?: { fence: readonly (readonly [number, number])[]; boxes: readonly (readonly [Vec3, Vec3])[]; standing: Readonly<Record<string, Vec3>> };
   text: string | null;
 }
 

@@ -127,10 +127,7 @@ function RadioView({ radio, atMs }: { radio: Radio; atMs: number }) {
       </div>
       <div class="columns">
         <Reports radio={radio} reports={own.reports} />
-        <div>
-          <Classes classes={up.classes} rates={own.classes} />
-          <Others third={up.third_party} />
-        </div>
+        <div><Classes classes={up.classes} rates={own.classes} /><Others third={up.third_party} /></div>
       </div>
       <Vehicles vehicles={radio.vehicles} each={down.per_vehicle_bytes_per_s} />
     </section>
@@ -243,13 +240,7 @@ function bytes(value: number): string {
 }
 
 function Bar({ title, value, most, mark, children }: { title: string; value: number | null; most: number; mark: number; children: ComponentChildren }) {
-  return (
-    <div class="bar">
-      <span>{title}</span>
-      <Meter value={value} most={most} mark={mark} />
-      <span class="muted">{children}</span>
-    </div>
-  );
+  return <div class="bar"><span>{title}</span><Meter value={value} most={most} mark={mark} /><span class="muted">{children}</span></div>;
 }
 
 /** How much of a budget is used; a line where it is planned to be. */

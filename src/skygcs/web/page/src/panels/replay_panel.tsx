@@ -73,9 +73,7 @@ function useReplay(connection: PanelProps["connection"]) {
     );
   };
   useEffect(() => {
-    const ask = (): void => {
-      connection.call<ReplayInfo>("replay.info").then(take, (failed: unknown) => setError(refusalText(failed)));
-    };
+    const ask = (): void => { connection.call<ReplayInfo>("replay.info").then(take, (failed: unknown) => setError(refusalText(failed))); };
     ask();
     const undo = [connection.on<ReplayInfo>("replay.position", take), connection.onPhase((phase) => phase.kind === "open" && ask())];
     return () => undo.forEach((each) => each());

@@ -14,11 +14,7 @@ import type { VehicleProps } from "./vehicle_panel.tsx";
 import { isControlled, isFlown, isHeld } from "../setpoint_orders.ts";
 import type { Outcome } from "../types.ts";
 
-const MODES = [
-  ["position", "Position"],
-  ["velocity", "Velocity"],
-  ["attitude", "Attitude"],
-] as const;
+const MODES = [["position", "Position"], ["velocity", "Velocity"], ["attitude", "Attitude"]] as const;
 
 export function VehicleControl(props: VehicleProps) {
   const { store, connection, name } = props;
@@ -40,23 +36,14 @@ export function VehicleControl(props: VehicleProps) {
       {orders && (
         <div class="row">
           {MODES.map(([mode, title]) => (
-            <HoldButton key={mode} targets={[name]} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>
-              {title}
-            </HoldButton>
+            <HoldButton key={mode} targets={[name]} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>{title}</HoldButton>
           ))}
-          <button type="button" disabled={!isControlled(vehicle)} onClick={() => order("off")}>
-            Off
-          </button>
+          <button type="button" disabled={!isControlled(vehicle)} onClick={() => order("off")}>Off</button>
         </div>
       )}
       <Chart
         title="Error, m"
-        curves={[
-          { label: "distance", colour: 2 },
-          { label: "x", colour: 1 },
-          { label: "y", colour: 3 },
-          { label: "up", colour: 5 },
-        ]}
+        curves={[{ label: "distance", colour: 2 }, { label: "x", colour: 1 }, { label: "y", colour: 3 }, { label: "up", colour: 5 }]}
         columns={() => errors.columns()}
         version={errors.version}
         heightPx={160}
@@ -137,9 +124,7 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
       (answer) => here && setGains(answer.gains[name] ?? null),
       (failed: unknown) => here && setError(refusalText(failed)),
     );
-    return () => {
-      here = false;
-    };
+    return () => { here = false; };
   }, [store, connection, name, enabled]);
   if (gains === null) return <Failure text={error} />;
   const changed = Object.entries(changes).filter(([key, value]) => value !== valueAt(gains, key));
@@ -174,20 +159,12 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
           </fieldset>
         ))}
       </div>
-      <NumberField
-        label="hover thrust"
-        value={changes["hover_thrust"] ?? gains.hover_thrust}
-        least={0}
-        most={1}
-        onValue={change("hover_thrust")}
-      />
+      <NumberField label="hover thrust" value={changes["hover_thrust"] ?? gains.hover_thrust} least={0} most={1} onValue={change("hover_thrust")} />
       <div class="row">
         <HoldButton targets={[name]} what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0} act={() => void apply()}>
           Set gains
         </HoldButton>
-        <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>
-          Discard
-        </button>
+        <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>Discard</button>
       </div>
     </section>
   );

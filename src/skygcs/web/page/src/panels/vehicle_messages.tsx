@@ -21,8 +21,7 @@ export function VehicleMessages(props: VehicleProps) {
   const [search, setSearch] = useState("");
   const [open, setOpen] = useState<string | null>(null);
   if (state === null) return error === null ? <p class="note">Asking …</p> : <Failure text={error} />;
-  const rows = Object.entries(state.messages)
-    .filter(([name]) => name.toLowerCase().includes(search.trim().toLowerCase().replaceAll(" ", "_")))
+  const rows = Object.entries(state.messages).filter(([name]) => name.toLowerCase().includes(search.trim().toLowerCase().replaceAll(" ", "_")))
     .sort(([a], [b]) => a.localeCompare(b));
   return (
     <>
@@ -55,23 +54,14 @@ function Message({ store, connection, name, message, close }: VehicleProps & { m
   };
   return (
     <section class="card" aria-label={message}>
-      <header class="row">
-        <h3>{message}</h3>
-        <button type="button" class="quiet" aria-label="Close" onClick={close}>
-          ×
-        </button>
-      </header>
+      <header class="row"><h3>{message}</h3><button type="button" class="quiet" aria-label="Close" onClick={close}>×</button></header>
       <Failure text={error} />
       {answer !== null && <Facts raw facts={Object.entries(answer.fields).map(([field, value]) => [field, typeof value === "string" ? value : JSON.stringify(value)])} />}
       {orders && (
         <div class="row">
           <NumberField label="Rate" unit="Hz" value={rate} least={0} most={1000} onValue={setRate} />
-          <button type="button" disabled={rate === null} onClick={() => want(rate)}>
-            Request
-          </button>
-          <button type="button" onClick={() => want(null)}>
-            Default
-          </button>
+          <button type="button" disabled={rate === null} onClick={() => want(rate)}>Request</button>
+          <button type="button" onClick={() => want(null)}>Default</button>
         </div>
       )}
     </section>

@@ -39,9 +39,7 @@ export default function VehiclePanel(props: PanelProps) {
   const drills = useStore(store, (state) => state.daemon?.drills === true);
   const [tab, setTab] = useState("state");
   const name = shown ?? (names.length === 1 ? (names[0] ?? null) : null);
-  if (name === null) {
-    return <p class="note">{names.length === 0 ? "No vehicle was heard yet." : "Select a vehicle in the table or on the view."}</p>;
-  }
+  if (name === null) return <p class="note">{names.length === 0 ? "No vehicle was heard yet." : "Select a vehicle in the table or on the view."}</p>;
   const each: VehicleProps = { ...props, name };
   return (
     <div class="panel vehiclepanel">
@@ -72,10 +70,7 @@ function VehicleHead({ store, name }: VehicleProps) {
   return (
     <header class={heard ? "vehiclehead" : "vehiclehead lost"}>
       <h2>{vehicle.name}</h2>
-      <p class="muted">
-        system {vehicle.sysid} · {vehicle.autopilot} {vehicle.type}
-        {vehicle.firmware === null ? "" : ` · ${vehicle.firmware}`}
-      </p>
+      <p class="muted">system {vehicle.sysid} · {vehicle.autopilot} {vehicle.type}{vehicle.firmware === null ? "" : ` · ${vehicle.firmware}`}</p>
       <p>
         <b>{vehicle.mode ?? "mode not known"}</b> · {vehicle.armed === null ? "armed or not is not known" : vehicle.armed ? "armed" : "disarmed"} ·{" "}
         {vehicle.landed.replace("_", " ")}

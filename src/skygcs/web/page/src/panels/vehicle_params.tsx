@@ -60,11 +60,7 @@ export function VehicleParams(props: VehicleProps) {
         <button type="button" class={book.params.length === 0 ? "primary" : ""} disabled={!orders || book.reading} onClick={() => void read()}>
           {book.reading ? "Reading …" : book.params.length === 0 ? "Read all" : "Read again"}
         </button>
-        {book.reading && (
-          <button type="button" onClick={() => void cancel()}>
-            Cancel
-          </button>
-        )}
+        {book.reading && <button type="button" onClick={() => void cancel()}>Cancel</button>}
         {book.params.length > 0 && (
           <button type="button" onClick={() => keepFile(`${name}.param`, book.params.map((one) => `${one.name},${valueText(one.value)}\n`).join(""))}>
             Save to file
@@ -192,9 +188,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
         <HoldButton targets={[name]} what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
           {busy ? "Setting …" : `Set ${book.edits.size}`}
         </HoldButton>
-        <button type="button" onClick={() => keep((before) => ({ ...before, edits: new Map() }))}>
-          Discard
-        </button>
+        <button type="button" onClick={() => keep((before) => ({ ...before, edits: new Map() }))}>Discard</button>
       </div>
     </section>
   );
@@ -239,11 +233,7 @@ function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: read
           ["unit", (one) => book.metadata[one.name]?.unit ?? "", "muted"],
         ]} />
       {rows.length === 0 && <p class="note">No parameter of that name.</p>}
-      {rows.length > most && (
-        <button type="button" onClick={() => setMost(most + SHOWN)}>
-          {rows.length - most} more
-        </button>
-      )}
+      {rows.length > most && <button type="button" onClick={() => setMost(most + SHOWN)}>{rows.length - most} more</button>}
     </>
   );
 }
@@ -318,12 +308,7 @@ function FileDifference({ store, connection, book, keep }: VehicleProps & { book
       <Failure text={unread ?? check.error} />
       {found !== null && (
         <section class="card" aria-label={`Compared with ${found.name}`}>
-          <header class="row">
-            <h3>{found.name}</h3>
-            <button type="button" class="quiet" aria-label="Close" onClick={check.clear}>
-              ×
-            </button>
-          </header>
+          <header class="row"><h3>{found.name}</h3><button type="button" class="quiet" aria-label="Close" onClick={check.clear}>×</button></header>
           <p class="muted">{found.changes.length} of {found.entries} differ, {found.same} are the same</p>
           {[...found.warnings, ...found.problems].map((text) => <p key={text} class="failure">{text}</p>)}
           {found.unknown.length > 0 && <p class="muted">{found.unknown.length} that the vehicle does not have: {found.unknown.slice(0, 8).join(", ")}</p>}

@@ -34,14 +34,10 @@ export function VehicleFields(props: VehicleProps) {
       <Failure text={error} />
       {groups.map(({ name, fields, age_s }) => (
         <Fold key={name} open={OPEN_GROUPS.has(name)} title={labelOf(name).text} side={age_s === null ? undefined : <Age age_s={age_s + sinceS} old_s={OLD_S} />}>
-          <div class={age_s !== null && age_s + sinceS > OLD_S ? "lost" : undefined}>
-            <Fields fields={fields} />
-          </div>
+          <div class={age_s !== null && age_s + sinceS > OLD_S ? "lost" : undefined}><Fields fields={fields} /></div>
         </Fold>
       ))}
-      <Fold title="vehicle">
-        <Fields fields={plain} />
-      </Fold>
+      <Fold title="vehicle"><Fields fields={plain} /></Fold>
       <Fold title="components" side={state.components.length}>
         <PlainTable rows={state.components} keyOf={(one) => one.compid} columns={[
           ["component", (one) => `${one.compid} ${one.name ?? ""}`],
@@ -71,10 +67,7 @@ export function VehicleTexts(props: VehicleProps) {
       <ul class="texts">
         {[...state.status_texts].reverse().map((one, i) => (
           <li key={`${i} ${one.text}`} data-tone={one.level <= 3 ? "danger" : one.level === 4 ? "warning" : "info"}>
-            <span class="muted">
-              {one.severity}
-              {one.compid !== 1 ? ` from ${one.compid}` : ""}
-            </span>{" "}
+            <span class="muted">{one.severity}{one.compid !== 1 ? ` from ${one.compid}` : ""}</span>{" "}
             {one.text} <Age age_s={one.age_s + sinceS} old_s={Infinity} />
           </li>
         ))}
@@ -82,12 +75,7 @@ export function VehicleTexts(props: VehicleProps) {
       <h3>Events of {props.name}</h3>
       <ul class="texts">
         {events.slice(-60).reverse().map((event) => (
-          <li key={event.id}>
-            <span class="muted">
-              {timeText(event.time_unix_s)} {event.kind.replace("_", " ")}
-            </span>{" "}
-            {event.text}
-          </li>
+          <li key={event.id}><span class="muted">{timeText(event.time_unix_s)} {event.kind.replace("_", " ")}</span>{" "}{event.text}</li>
         ))}
       </ul>
     </>

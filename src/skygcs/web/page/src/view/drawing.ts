@@ -251,14 +251,7 @@ function drawShape(pen: Pen, camera: Camera, palette: Palette, shape: Shape, col
   pen.setLineDash([]);
 }
 
-function drawMark(
-  pen: Pen,
-  x: number,
-  y: number,
-  colour: string,
-  palette: Palette,
-  mark: Extract<Shape, { kind: "mark" }>,
-): void {
+function drawMark(pen: Pen, x: number, y: number, colour: string, palette: Palette, mark: Extract<Shape, { kind: "mark" }>): void {
   const r = mark.emphasised === true ? 8 : 6;
   pen.lineWidth = 2;
   pen.strokeStyle = colour;
@@ -317,13 +310,7 @@ function homePath(pen: Pen, x: number, y: number, r: number): void {
 }
 
 /** Homes of all vehicles, those at one place once. */
-export function drawHomes(
-  pen: Pen,
-  camera: Camera,
-  palette: Palette,
-  homes: Iterable<readonly [number, number]>,
-  sprites: Sprites,
-): void {
+export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Iterable<readonly [number, number]>, sprites: Sprites): void {
   const seen = new Set<number>();
   for (const [x, y] of homes) {
     const px = toScreenX(camera, x);

@@ -237,8 +237,7 @@ export class FleetView {
   /** Vehicles within a rectangle of the canvas. */
   vehiclesIn(left: number, top: number, right: number, bottom: number): string[] {
     const { camera } = this;
-    return this.scene.bodies
-      .filter(({ x, y }) => {
+    return this.scene.bodies.filter(({ x, y }) => {
         const px = toScreenX(camera, x);
         const py = toScreenY(camera, y);
         return px >= left && px <= right && py >= top && py <= bottom;
@@ -361,9 +360,7 @@ export class FleetView {
       if (goal !== null && what === "all") bounds = extended(bounds, goal[0], goal[1]);
     }
     if (what === "all") {
-      for (const overlay of this.overlays.values()) {
-        if (overlay.fit === true) bounds = withOverlay(bounds, overlay);
-      }
+      for (const overlay of this.overlays.values()) if (overlay.fit === true) bounds = withOverlay(bounds, overlay);
     }
     return bounds;
   }
@@ -533,9 +530,7 @@ export class FleetView {
 
   private *homes(state: State): Iterable<readonly [number, number]> {
     if (this.frame === null) return;
-    for (const { home } of state.vehicles.values()) {
-      if (home !== null) yield fromGeodetic(this.frame, home.lat_deg, home.lon_deg);
-    }
+    for (const { home } of state.vehicles.values()) if (home !== null) yield fromGeodetic(this.frame, home.lat_deg, home.lon_deg);
   }
 
   /** Trails are a layer of their own: what comes is added to it; it is drawn anew for another camera, and moved till then. */
@@ -573,9 +568,7 @@ export class FleetView {
 
   private drawLabels(pen: Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
     this.labels.beginFrame();
-    const sprites = shown.map((body) =>
-      this.labels.get(body.name, body.name, labelLine(body), labelTone(body), palette, nowMs),
-    );
+    const sprites = shown.map((body) => this.labels.get(body.name, body.name, labelLine(body), labelTone(body), palette, nowMs));
     if (nowMs - this.placedMs > LABELS_EVERY_MS) {
       this.placedMs = nowMs;
       const requests = shown.map((body, i) => ({

@@ -149,9 +149,7 @@ export function placeLabels(
   const placed = new Map<string, Placement>();
   const crowd = crowdOf(requests);
   for (const box of covered) take(cells, box);
-  for (const { xPx, yPx, reachPx } of requests) {
-    take(cells, { left: xPx - reachPx, top: yPx - reachPx, right: xPx + reachPx, bottom: yPx + reachPx });
-  }
+  for (const { xPx, yPx, reachPx } of requests) take(cells, { left: xPx - reachPx, top: yPx - reachPx, right: xPx + reachPx, bottom: yPx + reachPx });
   for (const request of requests) {
     const had = before.get(request.id);
     const names = !request.urgent && crowd(request) >= CROWD + (had?.full === true ? 1 : 0);
@@ -188,9 +186,7 @@ function crowdOf(requests: readonly LabelRequest[]): (request: LabelRequest) => 
     let count = -1; // itself
     for (let i = cellOf(xPx) - 1; i <= cellOf(xPx) + 1; i++) {
       for (let j = cellOf(yPx) - 1; j <= cellOf(yPx) + 1; j++) {
-        for (const other of byCell.get(keyOf(i, j)) ?? []) {
-          if (Math.hypot(other.xPx - xPx, other.yPx - yPx) < CROWD_PX) count += 1;
-        }
+        for (const other of byCell.get(keyOf(i, j)) ?? []) if (Math.hypot(other.xPx - xPx, other.yPx - yPx) < CROWD_PX) count += 1;
       }
     }
     return count;
