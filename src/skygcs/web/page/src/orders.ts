@@ -36,9 +36,9 @@ export type Reader<T> = (answer: T) => { state: OrderState; outcomes: Outcomes; 
 
 type Outcomes = Readonly<Record<string, Outcome>>;
 
-/** Of an order whose answer has an outcome for each vehicle. */
-export function readOutcomes(answer: { outcomes?: Outcomes } | null): ReturnType<Reader<unknown>> {
-  const outcomes = answer?.outcomes ?? {};
+/** Of an order whose answer has an outcome for each vehicle, or says by coming that it was carried out. */
+function readOutcomes(answer: unknown): ReturnType<Reader<unknown>> {
+  const { outcomes = {} } = (answer ?? {}) as { outcomes?: Outcomes };
   return { state: stateOf(outcomes), outcomes, text: null };
 }
 
@@ -48,7 +48,7 @@ export async function runOrder<T>(
   store: OrderStore,
   connection: Sender,
   request: { label: string; method: string; params: object; targets: readonly string[]; withinS?: number | undefined; chain?: OrderChain | undefined },
-  read: Reader<T>,
+  read: Reader<T> = readOutcomes,
   ended: (state: OrderState) => void = () => undefined,
 ): Promise<T | null> {
   const { label, method, targets, chain } = request;

@@ -5,7 +5,7 @@ import { fixed } from "./format.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
 import type { ButtonsProps } from "./order_parts.tsx";
-import { orderWith } from "./panels/calls.ts";
+import { runOrder } from "./orders.ts";
 import type { Origin } from "./types.ts";
 
 const DIGITS_DEG = 7;
@@ -25,7 +25,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
   const valid = FIELDS.every(([key]) => fields[key].trim() !== "" && Math.abs(Number(fields[key])) <= (LIMITS[key] ?? 0));
   const one = targets.length === 1 ? targets[0] : undefined;
   const order = (label: string, method: string, params: object): void =>
-    void orderWith(store, connection, { label, method, params, targets: [] }, () => ({ ok: true, outcomes: {}, text: null }));
+    void runOrder(store, connection, { label, method, params, targets: [] });
   const click = (): void => {
     view.setTool({
       cursor: "crosshair",

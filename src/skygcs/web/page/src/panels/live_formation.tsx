@@ -4,8 +4,9 @@ import { useMemo, useState } from "preact/hooks";
 import { namesText, toDecimetre } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useFramed, useFrameKnown, useOverlay, useStore } from "../hooks.ts";
-import type { Outcome, Vec3 } from "../types.ts";
-import { mayOrder, orderWith } from "./calls.ts";
+import type { Vec3 } from "../types.ts";
+import { runOrder } from "../orders.ts";
+import { mayOrder } from "./calls.ts";
 import { overlay } from "./drawing.ts";
 import { SHAPES, type FormationShape } from "./formation.ts";
 import { Choice, Failure, NumberField, PlainTable, usePolled, useTool } from "./parts.tsx";
@@ -84,11 +85,6 @@ function Shown({ status }: { status: FormationStatus }) {
   );
 }
 
-/** The answer of every method of a formation, as the list of orders shows it. */
-function readStatus(): { ok: boolean; outcomes: Readonly<Record<string, Outcome>>; text: string | null } {
-  return { ok: true, outcomes: {}, text: null };
-}
-
 function Flying({ store, connection, view, status }: PanelProps & { status: FormationStatus }) {
   const targets = status.members.map((one) => one.vehicle);
   const [chosen, setChosen] = useFramed<Vec3 | null>(store, null);
@@ -97,7 +93,7 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
   const to = chosen ?? middle;
   const [heading, setHeading] = useState(Math.round(status.heading_deg ?? 0));
   const [scale, setScale] = useState(status.scale ?? 1);
-  const order = (label: string, method: string, params: object): void => void orderWith(store, connection, { label, method, params, targets }, readStatus);
+  const order = (label: string, method: string, params: object): void => void runOrder(store, connection, { label, method, params, targets });
   const tool = useTool(
     view,
     () => ({
@@ -150,7 +146,7 @@ function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {
   const targets = [...selection].filter((name) => name !== leader);
   const leaders = known.filter((name) => !selection.has(name));
   const params = { targets, shape, spacing_m: spacing, heading_deg: heading, ...(leader === VIRTUAL ? {} : { leader }) };
-  const start = (): void => void orderWith(store, connection, { label: "Start formation", method: "formation.start", params, targets }, readStatus);
+  const start = (): void => void runOrder(store, connection, { label: "Start formation", method: "formation.start", params, targets });
   return (
     <>
       <div class="row wrap">

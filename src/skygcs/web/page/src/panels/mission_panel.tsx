@@ -4,7 +4,7 @@ import { useEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useFrameKnown, useOverlay, useSelected, useStore } from "../hooks.ts";
-import { refusalText, sendOrder } from "../orders.ts";
+import { sendOrder } from "../orders.ts";
 import type { Store } from "../store.ts";
 import type { Origin, Vec3 } from "../types.ts";
 import { mayOrder } from "./calls.ts";
@@ -14,7 +14,7 @@ import { commandText, countsText, lengthOf, missionShapes, type CheckedMission }
 import { HomeFencePanel } from "./home_fence.tsx";
 import { ALIKE, arrangementOf, askedPaths, bySystemId, SeveralFields, severalShapes, type Several } from "./mission_several.tsx";
 import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
-import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useKept, useTool, useWork, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "mission";
@@ -33,23 +33,19 @@ const TABS: readonly { id: What; title: string }[] = [
 
 /** They outlive the panel. */
 const drafts = new Map<What, KeptDraft>();
-let lastTab: What = "file";
-let lastFile: FileContent | null = null;
-let lastSeveral = ALIKE;
+const TAB: { value: What } = { value: "file" };
+const FILE: { value: FileContent | null } = { value: null };
+const SEVERAL = { value: ALIKE };
 
 export default function MissionPanel(props: PanelProps) {
   const { store, view } = props;
   const targets = useSelected(store);
-  const [tab, setTab] = useState<What>(lastTab);
+  const [tab, keepTab] = useKept(TAB);
   const [checked, setChecked] = useState<CheckedMission | null>(null);
   const { note, ...keeper } = useDraft(store, tab);
   const { draft } = keeper;
   const known = useFrameKnown(store);
-  const [several, setSeveral] = useState(lastSeveral);
-  const keepSeveral = (next: Several): void => {
-    lastSeveral = next;
-    setSeveral(next);
-  };
+  const [several, keepSeveral] = useKept(SEVERAL);
   const orders = useStore(store, mayOrder);
   const arranged = targets.length > 1 && (tab === "file" || tab === "mission");
   const status = useMissionStatus(props, targets);
@@ -64,8 +60,7 @@ export default function MissionPanel(props: PanelProps) {
   }, [checked, draft, tab, current]);
   useOverlay(view, OVERLAY, shapes);
   const go = (id: string): void => {
-    lastTab = id as What;
-    setTab(lastTab);
+    keepTab(id as What);
     setChecked(null);
   };
   return (
@@ -77,7 +72,7 @@ export default function MissionPanel(props: PanelProps) {
       {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} keeper={keeper} several={several} setChecked={setChecked} targets={targets} />}
       {arranged && orders && <SeveralFields several={several} keep={keepSeveral} names={bySystemId(store, targets)} problem={checked?.several?.problem ?? null} />}
       {checked !== null && known && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
-      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
+      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { FILE.value = file; go("file"); }} />
     </div>
   );
 }
@@ -128,38 +123,31 @@ function context(store: Store, origin: Origin | null, targets: readonly string[]
 
 function FromFile({ store, connection, targets, several, setChecked }: PanelProps & { targets: readonly string[]; several: Several; setChecked: (checked: CheckedMission | null) => void }) {
   const check = useAsk<CheckedMission>(store, connection, "web.mission.check");
-  const [unread, setUnread] = useState<string | null>(null);
   const origin = useStore(store, (state) => state.origin);
-  const [file, setFile] = useState(lastFile);
+  const [file, keepFile] = useKept(FILE);
   const known = useFrameKnown(store);
   const { run, clear } = check;
   // the file is checked again for another vehicle, or about another origin
   useEffect(() => {
     clear();
     setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
-    if (lastFile === null || !known) return;
-    const { text } = lastFile;
-    void run({ file: lastFile, ...context(store, origin, targets, several) }).then((found) => {
+    if (file === null || !known) return;
+    const { text } = file;
+    void run({ file, ...context(store, origin, targets, several) }).then((found) => {
       if (found !== null) setChecked({ ...found, text: text ?? null });
     });
   }, [run, clear, store, origin, known, targets, several, file, setChecked]);
-  const take = async (files: File[]): Promise<void> => {
-    const [first] = files;
-    if (first === undefined) return;
-    try {
-      lastFile = await contentOf(first);
-      setUnread(null);
-      setFile(lastFile);
-    } catch (error) {
-      setUnread(refusalText(error));
-    }
+  const read = useWork<FileContent>();
+  const take = async ([first]: File[]): Promise<void> => {
+    const content = first === undefined ? null : await read.run(() => contentOf(first));
+    if (content !== null) keepFile(content);
   };
   return (
     <>
       <DropZone label="Open a file" accept=".plan,.waypoints,.txt,.mission,.json" onFiles={(files) => void take(files)} />
       <p class="muted">QGroundControl .plan, Mission Planner .waypoints (QGC WPL 110): mission, fence and rally points.</p>
       {check.busy && <p class="note">Checking …</p>}
-      <Failure text={unread ?? check.error} />
+      <Failure text={read.error ?? check.error} />
     </>
   );
 }

@@ -62,39 +62,53 @@ export function usePolled<T>(store: Store, connection: Connection, method: strin
   return { ...found, again: () => setTurn((n) => n + 1) };
 }
 
-export interface Asking<T> {
+interface Working<T> {
   busy: boolean;
   answer: T | null;
   error: string | null;
-  run: (params: object) => Promise<T | null>;
-  clear: () => void;
 }
 
-/** One question at a person's wish. A newer one replaces it: an older answer is neither shown nor returned. */
-export function useAsk<T>(store: Store, connection: Connection, method: string): Asking<T> {
-  const [state, setState] = useState<{ busy: boolean; answer: T | null; error: string | null }>({ busy: false, answer: null, error: null });
+const IDLE = { busy: false, answer: null, error: null };
+
+/** Work at a person's wish, that ends with an answer or an error. Newer work replaces it: an older answer is neither shown nor
+ *  returned. `show` puts an answer in its place, and returns whether nothing newer has since. */
+export function useWork<T>() {
+  const [state, setState] = useState<Working<T>>(IDLE);
   const number = useRef(0);
-  const run = useCallback(
-    async (params: object): Promise<T | null> => {
-      const mine = ++number.current;
-      setState((before) => ({ ...before, busy: true, error: null }));
-      try {
-        const answer = await ask<T>(store, connection, method, params);
-        if (mine !== number.current) return null;
-        setState({ busy: false, answer, error: null });
-        return answer;
-      } catch (error) {
-        if (mine === number.current) setState({ busy: false, answer: null, error: refusalText(error) });
-        return null;
-      }
-    },
-    [store, connection, method],
-  );
-  const clear = useCallback(() => {
-    number.current++;
-    setState({ busy: false, answer: null, error: null });
+  const show = useCallback((answer: T | null, error: string | null = null): (() => boolean) => {
+    const mine = ++number.current;
+    setState({ busy: false, answer, error });
+    return () => mine === number.current;
   }, []);
-  return { ...state, run, clear };
+  const run = useCallback(async (work: () => Promise<T>): Promise<T | null> => {
+    const mine = ++number.current;
+    setState((before) => ({ ...before, busy: true, error: null }));
+    const ended = await work().then((answer) => ({ answer, error: null }), (error: unknown) => ({ answer: null, error: refusalText(error) }));
+    if (mine !== number.current) return null;
+    show(ended.answer, ended.error);
+    return ended.answer;
+  }, [show]);
+  const clear = useCallback((): void => void show(null), [show]);
+  return { ...state, run, show, clear };
+}
+
+/** One question at a person's wish; its parameters may have to be read from a file first. */
+export function useAsk<T>(store: Store, connection: Connection, method: string) {
+  const { run: work, ...rest } = useWork<T>();
+  const run = useCallback(
+    (params: object | Promise<object>) => work(async () => ask<T>(store, connection, method, await params)),
+    [work, store, connection, method],
+  );
+  return { ...rest, run };
+}
+
+/** A value that outlives its panel: another tab must not lose it. */
+export function useKept<T>(kept: { value: T }): [value: T, keep: (next: T) => void] {
+  const [value, setValue] = useState(kept.value);
+  return [value, useCallback((next: T) => {
+    kept.value = next;
+    setValue(() => next);
+  }, [kept])];
 }
 
 /** The canvas' tool while a panel is shown. A person may end it with Escape; `resume` takes it up again. */
@@ -299,6 +313,11 @@ export function NumberField(props: {
       {props.unit !== undefined && <span class="unit">{props.unit}</span>}
     </label>
   );
+}
+
+/** A box to tick, with its label behind it. */
+export function Check({ checked, onChecked, title, class: kind = "check", children }: { checked: boolean; onChecked: (checked: boolean) => void; title?: string; class?: string; children: ComponentChildren }) {
+  return <label class={kind} title={title}><input type="checkbox" checked={checked} onChange={(event) => onChecked(event.currentTarget.checked)} /> {children}</label>;
 }
 
 export function Choice<T extends string>(props: { label: string; value: T; options: readonly (readonly [T, string])[]; onValue: (value: T) => void }) {

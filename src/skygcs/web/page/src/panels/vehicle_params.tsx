@@ -4,8 +4,8 @@
 import { useRef, useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
 import { useChanges, useStore } from "../hooks.ts";
-import { refusalText } from "../orders.ts";
-import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
+import { refusalText, runOrder } from "../orders.ts";
+import { ask, mayOrder, readParams } from "./calls.ts";
 import { contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
 import { aboutText, matches, meaningText, outsideText, parseValue, rangeText, sameValue, valueText, type ParamEntry, type ParamMetadata } from "./param_values.ts";
 import { paramBooks, type ParamBook } from "./param_books.ts";
@@ -152,7 +152,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
     const params = Object.fromEntries(book.edits);
     const label = book.edits.size === 1 ? `Set ${[...book.edits.keys()].join()}` : `Set ${book.edits.size} parameters`;
     const request = { label, method: "params.set", params: { targets: [name], params, force }, targets: [name] };
-    const answer = await orderWith<SetAnswer>(store, connection, request, readSet(name));
+    const answer = await runOrder<SetAnswer>(store, connection, request, ({ outcomes }) => readParams(outcomes[name] ?? {}));
     const outcomes = answer?.outcomes[name];
     if (outcomes !== undefined) keep((before) => afterSet(before, outcomes));
     setInsisting(false);
@@ -192,14 +192,6 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
       </div>
     </section>
   );
-}
-
-function readSet(name: string): Reader<SetAnswer> {
-  return (answer) => {
-    const of = answer.outcomes[name] ?? {};
-    const outcomes = Object.fromEntries(Object.entries(of).map(([param, { ok, result, message }]) => [param, { ok, result, message }]));
-    return { ok: Object.values(of).every((one) => one.ok), outcomes, text: null };
-  };
 }
 
 /** What the vehicle now reports takes the place of what was known; what it took is no edit any more. */
@@ -287,25 +279,17 @@ function ValueField({ param, known, edited, edit }: { param: ParamEntry; known: 
 
 function FileDifference({ store, connection, book, keep }: VehicleProps & { book: ParamBook; keep: (change: (book: ParamBook) => ParamBook) => void }) {
   const check = useAsk<ParamsDifference>(store, connection, "web.params.check");
-  const [unread, setUnread] = useState<string | null>(null);
   const latest = useRef(book);
   latest.current = book;
-  const compare = async (files: File[]): Promise<void> => {
-    const [file] = files;
-    if (file === undefined) return;
-    try {
-      const { params, sysid, compid, autopilot } = latest.current;
-      setUnread(null);
-      await check.run({ file: await contentOf(file), params, sysid, compid, autopilot });
-    } catch (error) {
-      setUnread(refusalText(error));
-    }
+  const compare = async ([file]: File[]): Promise<object> => {
+    const { params, sysid, compid, autopilot } = latest.current;
+    return { file: file === undefined ? null : await contentOf(file), params, sysid, compid, autopilot };
   };
   const found = check.answer;
   return (
     <>
-      <DropZone label="Compare with a file" accept=".params,.param,.parm,.txt" onFiles={(files) => void compare(files)} />
-      <Failure text={unread ?? check.error} />
+      <DropZone label="Compare with a file" accept=".params,.param,.parm,.txt" onFiles={(files) => void check.run(compare(files))} />
+      <Failure text={check.error} />
       {found !== null && (
         <section class="card" aria-label={`Compared with ${found.name}`}>
           <header class="row"><h3>{found.name}</h3><button type="button" class="quiet" aria-label="Close" onClick={check.clear}>×</button></header>

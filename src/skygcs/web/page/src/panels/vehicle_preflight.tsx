@@ -3,10 +3,11 @@
 import { useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
-import { mayOrder, orderWith } from "./calls.ts";
+import { runOrder } from "../orders.ts";
+import { mayOrder, readParams } from "./calls.ts";
 import { Failure, useAsk, usePolled } from "./parts.tsx";
 import { valueText } from "./param_values.ts";
-import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus, type Report } from "./preflight_report.ts";
+import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus } from "./preflight_report.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
 export function VehiclePreflight({ store, connection, name }: VehicleProps) {
@@ -19,12 +20,8 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
   const chosen = (report?.fixes ?? []).filter((fix) => !left.has(fix.name));
   const fix = async (): Promise<void> => {
     const confirmed = { [name]: Object.fromEntries(chosen.map((one) => [one.name, one.value])) };
-    await orderWith<PreflightAnswer>(
-      store,
-      connection,
-      { label: `Set ${chosen.length} parameters`, method: "preflight.run", params: { targets: [name], fix: true, confirmed }, targets: [name] },
-      (answer) => readFixed(answer.vehicles[name]),
-    );
+    const request = { label: `Set ${chosen.length} parameters`, method: "preflight.run", params: { targets: [name], fix: true, confirmed }, targets: [name] };
+    await runOrder<PreflightAnswer>(store, connection, request, ({ vehicles }) => readParams(vehicles[name]?.fixed ?? {}, vehicles[name]?.unfixed));
     run.clear();
     status.again();
   };
@@ -87,12 +84,4 @@ function Fixes({ fixes, left, setLeft }: { fixes: readonly Fix[]; left: Readonly
       ))}
     </fieldset>
   );
-}
-
-function readFixed(report: Report | undefined): { ok: boolean; outcomes: Record<string, { ok: boolean; result: string; message: string }>; text: string | null } {
-  const outcomes = Object.fromEntries(
-    Object.entries(report?.fixed ?? {}).map(([param, { ok, message }]) => [param, { ok, result: ok ? "accepted" : "failed", message }]),
-  );
-  const unfixed = report?.unfixed ?? "";
-  return { ok: unfixed === "" && Object.values(outcomes).every((one) => one.ok), outcomes, text: unfixed === "" ? null : unfixed };
 }
