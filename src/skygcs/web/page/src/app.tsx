@@ -3,7 +3,7 @@
 import { useEffect, useLayoutEffect, useMemo, useState } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { FleetCanvas } from "./fleet_canvas.tsx";
-import { useChanges, useStore } from "./hooks.ts";
+import { useChanges, useStore, useWindowEvent } from "./hooks.ts";
 import { LateModule } from "./late_module.ts";
 import { OrdersPanel } from "./orders_panel.tsx";
 import { OrderList } from "./order_list.tsx";
@@ -78,11 +78,7 @@ function visiblePanels(state: State): Panel[] {
 function usePage(): [string, (id: string) => void] {
   const read = (): string => location.hash.slice(1) || FLEET;
   const [page, setPage] = useState(read);
-  useEffect(() => {
-    const onHash = (): void => setPage(read());
-    addEventListener("hashchange", onHash);
-    return () => removeEventListener("hashchange", onHash);
-  }, []);
+  useWindowEvent("hashchange", () => setPage(read()));
   return [page, (id) => { location.hash = id; }];
 }
 

@@ -48,14 +48,33 @@ export function useOverlay(view: FleetView, id: string, shown: Overlay | null): 
   useEffect(() => () => view.setOverlay(id, null), [view, id]);
 }
 
-/** What calls its listeners at each change, and returns what removes a listener. */
-export interface Changing {
-  onChange(listener: () => void): () => void;
+/** Listens to the window as the component was drawn last: the listener is replaced before any further event. One that waited for
+ *  the next frame would hold, say, the vehicles that were selected before. */
+export function useWindowEvent<K extends keyof WindowEventMap>(kind: K, heard: (event: WindowEventMap[K]) => void, capture = false): void {
+  useLayoutEffect(() => {
+    addEventListener(kind, heard, { capture });
+    return () => removeEventListener(kind, heard, { capture });
+  });
+}
+
+/** Calls its listeners at each change. */
+export class Changes {
+  private readonly listeners = new Set<() => void>();
+
+  /** Returns what removes the listener. */
+  onChange(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  protected changed(): void {
+    for (const listener of [...this.listeners]) listener();
+  }
 }
 
 /** Draws the component again at each change of ``source``. It listens before anything else can happen: an effect that
  * waits for the next frame would miss what comes until then, and the frames of a hidden page do not come. */
-export function useChanges(source: Changing): void {
+export function useChanges(source: Pick<Changes, "onChange">): void {
   const [, redraw] = useReducer((n: number) => n + 1, 0);
   useLayoutEffect(() => source.onChange(() => redraw(0)), [source]);
 }

@@ -6,6 +6,7 @@ import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
 import type { ButtonsProps } from "./order_parts.tsx";
 import { runOrder } from "./orders.ts";
+import { Check } from "./panels/parts.tsx";
 import type { Origin } from "./types.ts";
 
 const DIGITS_DEG = 7;
@@ -61,7 +62,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
             act={() => order(`Origin from ${one ?? ""}`, "origin.from_vehicle", { target: one, heading: nose })}>
             {one === undefined ? "Where one vehicle is" : `Where ${one} is`}
           </HoldButton>
-          <label class="check"><input type="checkbox" checked={nose} onChange={(event) => setNose(event.currentTarget.checked)} /> x along its nose</label>
+          <Check checked={nose} onChecked={setNose}>x along its nose</Check>
         </div>
       </>}
     </details>

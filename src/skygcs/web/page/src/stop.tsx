@@ -1,8 +1,7 @@
 // STOP: always visible, one action, also by keyboard. It acts on the press, not on the release.
 
-import { useLayoutEffect } from "preact/hooks";
 import type { Connection } from "./connection.ts";
-import { useStore } from "./hooks.ts";
+import { useStore, useWindowEvent } from "./hooks.ts";
 import { sendStop } from "./orders.ts";
 import { isStopKey, isTextField } from "./stop_key.ts";
 import type { Store } from "./store.ts";
@@ -11,15 +10,11 @@ export function StopButton({ store, connection }: { store: Store; connection: Co
   const role = useStore(store, (state) => state.hello?.role ?? null);
   const replay = useStore(store, (state) => state.hello?.replay ?? false);
   const refused = role === "view" || replay;
-  useLayoutEffect(() => {
-    const onKey = (event: KeyboardEvent): void => {
-      if (refused || !event.isTrusted || !isStopKey(event, isTextField(event.target))) return;
-      event.preventDefault();
-      sendStop(store, connection);
-    };
-    addEventListener("keydown", onKey, { capture: true });
-    return () => removeEventListener("keydown", onKey, { capture: true });
-  }, [store, connection, refused]);
+  useWindowEvent("keydown", (event) => {
+    if (refused || !event.isTrusted || !isStopKey(event, isTextField(event.target))) return;
+    event.preventDefault();
+    sendStop(store, connection);
+  }, true);
   if (replay) return null;
   return (
     <button

@@ -1,6 +1,7 @@
 // What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
 
 import type { ClockSample, Phase } from "./connection.ts";
+import { toggled } from "./format.ts";
 import { frameKey } from "./framed.ts";
 import { briefVehicle, siteOf, vehicleOf } from "./levels.ts";
 import { stateOf } from "./outcomes.ts";
@@ -172,10 +173,10 @@ export function reduce(state: State, action: Action): State {
         orders: [action.order, ...state.orders].slice(0, MAX_ORDERS),
         goals: without(state.goals, (name) => action.order.targets.includes(name)),
       };
-    case "orderEnded": return { ...state, orders: state.orders.map((order) => (order.id === action.id ? endOrder(order, action) : order)) };
-    case "orderReported": return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withReport(order, action) : order)) };
-    case "outcomesFound": return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withOutcomes(order, action) : order)) };
-    case "orderDismissed": return {...state, orders: state.orders.map((order) => (order.id === action.id ? { ...order, dismissed: true } : order)) };
+    case "orderEnded": return withOrder(state, action.id, (order) => endOrder(order, action));
+    case "orderReported": return withOrder(state, action.id, (order) => withReport(order, action));
+    case "outcomesFound": return withOrder(state, action.id, (order) => withOutcomes(order, action));
+    case "orderDismissed": return withOrder(state, action.id, (order) => ({ ...order, dismissed: true }));
   }
 }
 
@@ -219,12 +220,6 @@ function namesBySysid(vehicles: ReadonlyMap<string, Vehicle>): readonly string[]
     .map((vehicle) => vehicle.name);
 }
 
-function toggled(set: ReadonlySet<string>, one: string): ReadonlySet<string> {
-  const changed = new Set(set);
-  if (!changed.delete(one)) changed.add(one);
-  return changed;
-}
-
 function keepKnown(selection: ReadonlySet<string>, vehicles: ReadonlyMap<string, Vehicle>): ReadonlySet<string> {
   const kept = [...selection].filter((name) => vehicles.has(name));
   return kept.length === selection.size ? selection : new Set(kept);
@@ -253,7 +248,11 @@ function cameMeanwhile(state: State, { events, askedAfter }: Extract<Action, { t
 
 function addEvents(state: State, events: readonly FleetEvent[]): State {
   const numbered = events.map((event, index) => ({ ...event, id: state.eventsSeen + index + 1 }));
-  return {...state, events: [...state.events, ...numbered].slice(-MAX_EVENTS), eventsSeen: state.eventsSeen + events.length };
+  return { ...state, events: [...state.events, ...numbered].slice(-MAX_EVENTS), eventsSeen: state.eventsSeen + events.length };
+}
+
+function withOrder(state: State, id: number, change: (order: OrderRun) => OrderRun): State {
+  return { ...state, orders: state.orders.map((order) => (order.id === id ? change(order) : order)) };
 }
 
 function endOrder(order: OrderRun, end: Extract<Action, { type: "orderEnded" }>): OrderRun {

@@ -1,5 +1,6 @@
 // The events with their severity, what a person has acknowledged, and when the alarm sounds.
 
+import { Changes } from "../hooks.ts";
 import type { Action, State, Store } from "../store.ts";
 import { MAX_EVENTS } from "../store.ts";
 import { recall, remember } from "../theme.ts";
@@ -17,7 +18,7 @@ const SPOKEN_AFTER_MS = 700;
 const MUTED = "skygcs.muted";
 const SPEECH = "skygcs.speech";
 
-export class AlarmLog {
+export class AlarmLog extends Changes {
   events: readonly JudgedEvent[] = [];
   acknowledged: ReadonlySet<string> = new Set();
   /** Both are off until a person wants them: a page on a projector or in a meeting must not begin to sound. */
@@ -27,14 +28,8 @@ export class AlarmLog {
   private unsaid: JudgedEvent[] = [];
   private first = true;
   private soundsUntilMs = -Infinity;
-  private readonly listeners = new Set<() => void>();
 
-  constructor(private readonly nowMs: () => number = () => performance.now()) {}
-
-  onChange(listener: () => void): () => void {
-    this.listeners.add(listener);
-    return () => this.listeners.delete(listener);
-  }
+  constructor(private readonly nowMs: () => number = () => performance.now()) { super(); }
 
   /** Alarms that nobody has acknowledged. */
   get open(): number {
@@ -104,10 +99,6 @@ export class AlarmLog {
     const listed = new Set(this.events.map(keyOf));
     this.acknowledged = new Set([...keys].filter((key) => listed.has(key)));
     this.changed();
-  }
-
-  private changed(): void {
-    for (const listener of this.listeners) listener();
   }
 }
 

@@ -2,7 +2,7 @@
 
 import { Fragment } from "preact";
 import { useReducer, useState } from "preact/hooks";
-import { timeText } from "../format.ts";
+import { timeText, toggled } from "../format.ts";
 import { refusalText } from "../orders.ts";
 import type { Alarm } from "../types.ts";
 import { useChanges, useStore } from "../hooks.ts";
@@ -168,10 +168,4 @@ function Sound() {
       </button>
     </>
   );
-}
-
-function toggled<T>(set: ReadonlySet<T>, one: T): ReadonlySet<T> {
-  const next = new Set(set);
-  if (!next.delete(one)) next.add(one);
-  return next;
 }

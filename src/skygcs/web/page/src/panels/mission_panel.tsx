@@ -46,6 +46,7 @@ export default function MissionPanel(props: PanelProps) {
   const { draft } = keeper;
   const known = useFrameKnown(store);
   const [several, keepSeveral] = useKept(SEVERAL);
+  const [file, keepFile] = useKept(FILE);
   const orders = useStore(store, mayOrder);
   const arranged = targets.length > 1 && (tab === "file" || tab === "mission");
   const status = useMissionStatus(props, targets);
@@ -66,13 +67,13 @@ export default function MissionPanel(props: PanelProps) {
   return (
     <div class="panel missionpanel">
       <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
-      {tab === "file" && <FromFile {...props} targets={targets} several={several} setChecked={setChecked} />}
+      {tab === "file" && <FromFile {...props} file={file} keepFile={keepFile} targets={targets} several={several} setChecked={setChecked} />}
       {tab === "home" && <HomeFencePanel {...props} targets={targets} />}
       {tab !== "home" && note !== null && <p class="note" role="status">{note}</p>}
       {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} keeper={keeper} several={several} setChecked={setChecked} targets={targets} />}
       {arranged && orders && <SeveralFields several={several} keep={keepSeveral} names={bySystemId(store, targets)} problem={checked?.several?.problem ?? null} />}
       {checked !== null && known && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
-      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { FILE.value = file; go("file"); }} />
+      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(next) => { keepFile(next); go("file"); }} />
     </div>
   );
 }
@@ -121,10 +122,17 @@ function context(store: Store, origin: Origin | null, targets: readonly string[]
 
 // --- from a file ------------------------------------------------------------------------------------------------------
 
-function FromFile({ store, connection, targets, several, setChecked }: PanelProps & { targets: readonly string[]; several: Several; setChecked: (checked: CheckedMission | null) => void }) {
+interface FileProps extends PanelProps {
+  file: FileContent | null;
+  keepFile: (file: FileContent) => void;
+  targets: readonly string[];
+  several: Several;
+  setChecked: (checked: CheckedMission | null) => void;
+}
+
+function FromFile({ store, connection, file, keepFile, targets, several, setChecked }: FileProps) {
   const check = useAsk<CheckedMission>(store, connection, "web.mission.check");
   const origin = useStore(store, (state) => state.origin);
-  const [file, keepFile] = useKept(FILE);
   const known = useFrameKnown(store);
   const { run, clear } = check;
   // the file is checked again for another vehicle, or about another origin

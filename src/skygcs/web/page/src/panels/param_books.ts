@@ -1,5 +1,6 @@
 // What the page knows of vehicles' parameters: values, edits that wait, what was set here. It outlives the panel.
 
+import { Changes } from "../hooks.ts";
 import type { ParamEntry, ParamMetadata } from "./param_values.ts";
 
 export interface ParamBook {
@@ -25,15 +26,8 @@ const EMPTY_BOOK: ParamBook = { params: [], metadata: {}, source: "", edits: new
 /** Vehicles whose parameters are kept: some 300 kB each. */
 export const MAX_BOOKS = 20;
 
-export class ParamBooks {
+export class ParamBooks extends Changes {
   private readonly byName = new Map<string, ParamBook>();
-  private readonly listeners = new Set<() => void>();
-
-  /** Calls the listener after each change; returns what ends that. */
-  onChange(listener: () => void): () => void {
-    this.listeners.add(listener);
-    return () => this.listeners.delete(listener);
-  }
 
   of(name: string): ParamBook {
     return this.byName.get(name) ?? EMPTY_BOOK;
@@ -46,7 +40,7 @@ export class ParamBooks {
     this.byName.set(name, book);
     const [oldest] = this.byName.keys();
     if (this.byName.size > MAX_BOOKS && oldest !== undefined) this.byName.delete(oldest);
-    for (const listener of [...this.listeners]) listener();
+    this.changed();
   }
 }
 

@@ -10,7 +10,7 @@ import type { Vec3 } from "../types.ts";
 import { goalsTool, overlay } from "./drawing.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
-import { Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useKept, useTool } from "./parts.tsx";
+import { Check, Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useKept, useTool } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -217,9 +217,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
           setHeight(value);
           setGoals((before) => new Map([...before].map(([name, [x, y]]) => [name, [x, y, value]])));
         }} />
-        <label class="check">
-          <input type="checkbox" checked={exchange} onChange={(event) => setExchange(event.currentTarget.checked)} /> vehicles may change places
-        </label>
+        <Check checked={exchange} onChecked={setExchange}>vehicles may change places</Check>
       </div>
       {goals.size > 0 && (
         <Scroll label="Goals" tall>

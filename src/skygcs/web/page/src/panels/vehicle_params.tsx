@@ -6,7 +6,7 @@ import { HoldButton } from "../hold_button.tsx";
 import { useChanges, useStore } from "../hooks.ts";
 import { refusalText, runOrder } from "../orders.ts";
 import { ask, mayOrder, readParams } from "./calls.ts";
-import { contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
+import { Check, contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
 import { aboutText, matches, meaningText, outsideText, parseValue, rangeText, sameValue, valueText, type ParamEntry, type ParamMetadata } from "./param_values.ts";
 import { paramBooks, type ParamBook } from "./param_books.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
@@ -75,9 +75,7 @@ export function VehicleParams(props: VehicleProps) {
         <>
           <div class="row">
             <input type="search" placeholder="Search: words, or MPC_*" aria-label="Search parameters" value={search} onInput={(event) => setSearch(event.currentTarget.value)} />
-            <label class="check">
-              <input type="checkbox" checked={onlyChanged} onChange={(event) => setOnlyChanged(event.currentTarget.checked)} /> changed
-            </label>
+            <Check checked={onlyChanged} onChecked={setOnlyChanged}>changed</Check>
           </div>
           <Edits {...props} book={book} keep={keep} enabled={orders} />
           <FileDifference {...props} book={book} keep={keep} />
@@ -180,9 +178,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
         ))}
       </ul>
       {outside.length > 0 && (
-        <label class="check">
-          <input type="checkbox" checked={insisting} onChange={(event) => setInsisting(event.currentTarget.checked)} /> set what is outside its range all the same
-        </label>
+        <Check checked={insisting} onChecked={setInsisting}>set what is outside its range all the same</Check>
       )}
       <div class="row">
         <HoldButton targets={[name]} what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>

@@ -2,10 +2,11 @@
 
 import { useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
+import { toggled } from "../format.ts";
 import { useStore } from "../hooks.ts";
 import { runOrder } from "../orders.ts";
 import { mayOrder, readParams } from "./calls.ts";
-import { Failure, useAsk, usePolled } from "./parts.tsx";
+import { Check, Failure, useAsk, usePolled } from "./parts.tsx";
 import { valueText } from "./param_values.ts";
 import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus } from "./preflight_report.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
@@ -68,19 +69,9 @@ function Fixes({ fixes, left, setLeft }: { fixes: readonly Fix[]; left: Readonly
     <fieldset class="card">
       <legend>Parameters that would mend it</legend>
       {fixes.map((fix) => (
-        <label key={fix.name} class="check">
-          <input
-            type="checkbox"
-            checked={!left.has(fix.name)}
-            onChange={(event) => {
-              const next = new Set(left);
-              if (event.currentTarget.checked) next.delete(fix.name);
-              else next.add(fix.name);
-              setLeft(next);
-            }}
-          />
+        <Check key={fix.name} checked={!left.has(fix.name)} onChecked={() => setLeft(toggled(left, fix.name))}>
           <code>{fix.name}</code> {valueText(fix.before)} → <b>{valueText(fix.value)}</b>
-        </label>
+        </Check>
       ))}
     </fieldset>
   );

@@ -52,7 +52,7 @@ export function fitted(camera: Camera, bounds: Bounds, topPx = 0, marginPx = 64,
   const overPx = Math.max(topPx - marginPx, 0);
   const roomY = Math.max(camera.heightPx - 2 * marginPx - overPx, camera.heightPx / 2);
   const pxPerM = clamp(Math.min(roomX / width, roomY / height), LEAST_PX_PER_M, MOST_PX_PER_M);
-  return {...camera, x: (bounds.left + bounds.right) / 2, y: (bounds.bottom + bounds.top + overPx / pxPerM) / 2, pxPerM };
+  return { ...camera, x: (bounds.left + bounds.right) / 2, y: (bounds.bottom + bounds.top + overPx / pxPerM) / 2, pxPerM };
 }
 
 export function extended(bounds: Bounds | null, x: number, y: number, byM = 0): Bounds {

@@ -1,6 +1,7 @@
 // The fleet view: vehicles on one canvas above another of what lies beneath them, drawn when something changed and only then. Pan, zoom,
 // fit, follow, and the tools of panels.
 
+import { Changes } from "../hooks.ts";
 import { frameIsKnown, frameKey } from "../framed.ts";
 import { recall, remember, onTheme } from "../theme.ts";
 import type { State, Store } from "../store.ts";
@@ -79,7 +80,7 @@ interface Look {
   colours: draw.Colours;
 }
 
-export class FleetView {
+export class FleetView extends Changes {
   /** Of the part above the side view. */
   camera: Camera = START;
   follow = false;
@@ -127,10 +128,10 @@ export class FleetView {
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
   private trailsDrawn: { camera: Camera; ms: number; tookMs: number } | null = null;
   private readonly map = new MapLayer(() => this.repaint());
-  private readonly changeListeners = new Set<() => void>();
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
   constructor(readonly store: Store) {
+    super();
     store.subscribe((state, inFrame) => {
       this.onState(state);
       // the answer to a key or a click does not wait for the canvas, and no frame of the screen is drawn twice
@@ -245,12 +246,6 @@ export class FleetView {
       .map((body) => body.name);
   }
 
-  /** Called when options, tool, follow or camera changed. */
-  onChange(listener: () => void): () => void {
-    this.changeListeners.add(listener);
-    return () => this.changeListeners.delete(listener);
-  }
-
   /** `ground`: of the same place and size, beneath the canvas that has the pointer. */
   attach(canvas: HTMLCanvasElement, ground: HTMLCanvasElement): () => void {
     this.canvas = canvas;
@@ -309,9 +304,10 @@ export class FleetView {
     this.repaint();
   }
 
-  private changed(): void {
+  /** Options, tool, follow or camera changed. */
+  protected override changed(): void {
     this.redraw();
-    for (const listener of this.changeListeners) listener();
+    super.changed();
   }
 
   private onState(state: State): void {
