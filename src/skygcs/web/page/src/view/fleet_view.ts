@@ -239,8 +239,7 @@ export class FleetView extends Changes {
   vehiclesIn(left: number, top: number, right: number, bottom: number): string[] {
     const { camera } = this;
     return this.scene.bodies.filter(({ x, y }) => {
-        const px = toScreenX(camera, x);
-        const py = toScreenY(camera, y);
+        const [px, py] = [toScreenX(camera, x), toScreenY(camera, y)];
         return px >= left && px <= right && py >= top && py <= bottom;
       })
       .map((body) => body.name);
@@ -518,8 +517,7 @@ export class FleetView extends Changes {
 
   private visible(camera: Camera): Body[] {
     return this.scene.bodies.filter((body) => {
-      const x = toScreenX(camera, body.x);
-      const y = toScreenY(camera, body.y);
+      const [x, y] = [toScreenX(camera, body.x), toScreenY(camera, body.y)];
       return x > -30 && y > -30 && x < camera.widthPx + 30 && y < camera.heightPx + 30;
     });
   }
