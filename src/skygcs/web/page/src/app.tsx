@@ -11,14 +11,12 @@ import { PANELS } from "./panels/index.ts";
 import type { Panel, PanelProps } from "./panels/registry.ts";
 import { DrillBar } from "./drill_bar.tsx";
 import { PlanBar } from "./plan_bar.tsx";
-import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
+import { Banner, FleetSummary, ThemeButton, TroubleStrip } from "./status_bar.tsx";
 import { recalledShare } from "./split.ts";
 import { Splitter } from "./splitter.tsx";
-import { StopButton } from "./stop.tsx";
-import { StopBoard } from "./stop_board.tsx";
+import { StopBoard, StopButton } from "./stop.tsx";
 import type { State, Store } from "./store.ts";
 import { FleetTable } from "./table.tsx";
-import { TroubleStrip } from "./trouble_strip.tsx";
 import { FleetView } from "./view/fleet_view.ts";
 import { Shortcuts } from "./shortcuts.tsx";
 

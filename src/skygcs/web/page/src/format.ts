@@ -58,3 +58,9 @@ export function toggled<T>(set: ReadonlySet<T>, one: T): ReadonlySet<T> {
   if (!next.delete(one)) next.add(one);
   return next;
 }
+
+/** 12,345 with thin spaces. */
+export function countText(count: number | null | undefined): string {
+  if (count === null || count === undefined) return "–";
+  return String(count).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+}

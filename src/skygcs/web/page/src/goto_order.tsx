@@ -3,11 +3,10 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { fixed } from "./format.ts";
 import { frameKeyOf } from "./framed.ts";
-import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
-import { currentPlace, targetPlace, type Place } from "./goto_places.ts";
+import { beginGoto, currentPlace, goalsOf, type GotoDraft, type Place, targetPlace } from "./goto_draft.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useFramed, useStore, useWindowEvent } from "./hooks.ts";
-import { OrderChain } from "./order_chains.ts";
+import { OrderChain } from "./orders.ts";
 import { FrameNote, Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { Check } from "./panels/parts.tsx";
 import { engage } from "./setpoint_orders.ts";

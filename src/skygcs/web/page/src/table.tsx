@@ -2,13 +2,12 @@
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { Cell } from "./cells.ts";
-import { COLUMNS, matches, rowsOf, sorted, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
+import { type Column, COLUMNS, type Grouping, matches, type Row, rowsOf, type SiteRow, siteRows, sorted, type Sorting } from "./columns.ts";
 import type { Connection } from "./connection.ts";
 import { EmptyFleet } from "./empty_fleet.tsx";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore, useWindowEvent } from "./hooks.ts";
 import { Check } from "./panels/parts.tsx";
-import { siteRows, type SiteRow } from "./site_rows.ts";
 import { isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type Store, type Vehicle } from "./store.ts";
 import { isChosen, keepChoices, recalledChoices, type TableChoices } from "./table_choices.ts";

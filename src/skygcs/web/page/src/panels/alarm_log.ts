@@ -5,8 +5,7 @@ import type { Action, State, Store } from "../store.ts";
 import { MAX_EVENTS } from "../store.ts";
 import { recall, remember } from "../theme.ts";
 import type { FleetEvent } from "../types.ts";
-import { spokenText } from "./event_groups.ts";
-import { keyOf, severityOf, type JudgedEvent } from "./event_severity.ts";
+import { type JudgedEvent, keyOf, severityOf, spokenText } from "./event_severity.ts";
 
 /** What happened longer before the page was opened is history: shown, and not open. */
 export const FRESH_S = 300;

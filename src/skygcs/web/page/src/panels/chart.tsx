@@ -3,7 +3,7 @@
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { onTheme } from "../theme.ts";
-import type { Columns } from "./history_ring.ts";
+import type { Columns } from "./histories.ts";
 import { bounds } from "./chart_bounds.ts";
 
 export interface Curve {

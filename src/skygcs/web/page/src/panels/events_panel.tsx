@@ -7,8 +7,7 @@ import { refusalText } from "../orders.ts";
 import type { Alarm } from "../types.ts";
 import { useChanges, useStore } from "../hooks.ts";
 import { alarmLog } from "./alarm_log.ts";
-import { grouped, groupText, manyText, type EventGroup } from "./event_groups.ts";
-import { keyOf, SEVERITIES, shownEvents, type Severity } from "./event_severity.ts";
+import { type EventGroup, grouped, groupText, keyOf, manyText, SEVERITIES, type Severity, shownEvents } from "./event_severity.ts";
 import type { PanelProps } from "./registry.ts";
 import { canSound, ownVoice, playAlarm, speak } from "./sound.ts";
 

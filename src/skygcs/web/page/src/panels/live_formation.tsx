@@ -7,7 +7,7 @@ import { useFramed, useFrameKnown, useOverlay, useStore } from "../hooks.ts";
 import type { Vec3 } from "../types.ts";
 import { runOrder } from "../orders.ts";
 import { mayOrder } from "./calls.ts";
-import { overlay } from "./drawing.ts";
+import { overlay } from "./drafts.ts";
 import { SHAPES, type FormationShape } from "./formation.ts";
 import { Choice, Failure, NumberField, PlainTable, usePolled, useTool } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";

@@ -7,7 +7,7 @@ import { FrameNote } from "../order_parts.tsx";
 import { useFramed, useFrameKnown, useOverlay, useSelected, useStore } from "../hooks.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
-import { goalsTool, overlay } from "./drawing.ts";
+import { goalsTool, overlay } from "./drafts.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
 import { Check, Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useKept, useTool } from "./parts.tsx";

@@ -5,7 +5,7 @@ import { useOverlay } from "../hooks.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
 import type { Shape } from "../view/overlays.ts";
-import { overlay } from "./drawing.ts";
+import { overlay } from "./drafts.ts";
 import { contentOf, DropZone, Failure, useAsk, useKept } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 

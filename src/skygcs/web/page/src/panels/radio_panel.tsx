@@ -3,13 +3,12 @@
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useReducer, useRef } from "preact/hooks";
-import { fixed, percentText } from "../format.ts";
+import { countText, fixed, percentText } from "../format.ts";
 import type { Link } from "../link_hints.ts";
 import { Chart } from "./chart.tsx";
-import { areThere, fixesText, sourceText, surveyText, type Corrections } from "./corrections_text.ts";
-import { HistoryRing } from "./history_ring.ts";
+import { areThere, type ClassCounters, ClassRates, type Corrections, fixesText, type RadioReport, REPORT_SERIES, reportRow, sourceText, surveyText } from "./radio_figures.ts";
+import { HistoryRing } from "./histories.ts";
 import { Failure, PlainTable, Scroll, usePolled } from "./parts.tsx";
-import { ClassRates, REPORT_SERIES, countText, reportRow, type ClassCounters, type RadioReport } from "./radio_figures.ts";
 import type { PanelProps } from "./registry.ts";
 
 interface RadioVehicle {

@@ -3,8 +3,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { useTick } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
-import { clockText, placeAt, type ReplayInfo } from "./replay_time.ts";
-import { markAfter, markBefore, type Mark } from "./replay_marks.ts";
+import { clockText, type Mark, markAfter, markBefore, placeAt, type ReplayInfo } from "./replay_time.ts";
 import { severityOf } from "./event_severity.ts";
 import { Failure } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";

@@ -8,10 +8,9 @@ import type { PanelProps } from "./registry.ts";
 import { VehicleDrill } from "./vehicle_drill.tsx";
 import { VehicleControl } from "./vehicle_control.tsx";
 import { VehicleHistory, VehicleLinks } from "./vehicle_history.tsx";
-import { VehicleMessages } from "./vehicle_messages.tsx";
+import { VehicleFields, VehicleMessages, VehicleTexts } from "./vehicle_state.tsx";
 import { VehicleParams } from "./vehicle_params.tsx";
 import { VehiclePreflight } from "./vehicle_preflight.tsx";
-import { VehicleFields, VehicleTexts } from "./vehicle_state.tsx";
 
 /** What each part of the panel gets. */
 export interface VehicleProps extends PanelProps {

@@ -7,8 +7,7 @@ import { useChanges, useStore } from "../hooks.ts";
 import { refusalText, runOrder } from "../orders.ts";
 import { ask, mayOrder, readParams } from "./calls.ts";
 import { Check, contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
-import { aboutText, matches, meaningText, outsideText, parseValue, rangeText, sameValue, valueText, type ParamEntry, type ParamMetadata } from "./param_values.ts";
-import { paramBooks, type ParamBook } from "./param_books.ts";
+import { aboutText, matches, meaningText, outsideText, type ParamBook, paramBooks, type ParamEntry, type ParamMetadata, parseValue, rangeText, sameValue, valueText } from "./param_values.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
 const SHOWN = 150;

@@ -8,9 +8,8 @@ import type { Frame } from "./frame.ts";
 import { leaderOf, type Box, type Placement } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
-import { Paths } from "./paths.ts";
+import { angleOf, directionOf, type Drawing, Paths, type Pen, type Sprites } from "./sprites.ts";
 import type { Body, Meeting } from "./scene.ts";
-import { angleOf, directionOf, type Drawing, type Pen, type Sprites } from "./sprites.ts";
 import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
 
 const GRID_PX = 96;

@@ -1,8 +1,7 @@
 // Names and numbers beside vehicles: each drawn once into a small picture of its own, and placed where it covers no other.
 
 import type { Palette } from "./palette.ts";
-import { discard, pictureCanvas, type Picture, type PictureCanvas } from "./picture_canvas.ts";
-import type { Pen } from "./sprites.ts";
+import { discard, type Pen, type Picture, pictureCanvas, type PictureCanvas } from "./sprites.ts";
 
 const WIDTH_PX = 132;
 const HEIGHT_PX = 32;
