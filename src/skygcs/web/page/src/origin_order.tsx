@@ -10,7 +10,7 @@ import { Check } from "./panels/parts.tsx";
 import type { Origin } from "./types.ts";
 
 const DIGITS_DEG = 7;
-const FIELDS = [["lat", "Latitude, °"], ["lon", "Longitude, °"], ["alt", "Height, m AMSL"], ["heading", "x axis, °"]] as const;
+const FIELDS = [["lat", "Latitude, °"], ["lon", "Longitude, °"], ["alt", "Height, m AMSL"], ["heading", "Heading of x, °"]] as const;
 const LIMITS: Readonly<Record<string, number>> = { lat: 90, lon: 180, alt: 9000, heading: 360 };
 
 type Fields = Readonly<Record<(typeof FIELDS)[number][0], string>>;

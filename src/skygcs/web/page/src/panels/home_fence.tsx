@@ -15,7 +15,6 @@ export interface HomeFence {
   action: string | null;
   radius_m: number | null;
   height_m: number | null;
-  follows_list: boolean;
 }
 
 type Outcomes = Readonly<Record<string, Outcome & { fence: HomeFence | null }>>;

@@ -12,12 +12,10 @@ import type { PanelProps } from "./registry.ts";
 export interface MissionStatus {
   vehicle: string;
   item: number | null;
-  reached: number | null;
   state: string | null;
   counts: Readonly<Record<"mission" | "fence" | "rally", number | null>>;
   turn: { turn: number; of: number; state: "flies" | "waits" | "done" } | null;
   transfer: { what: string; percent: number | null; sent?: number } | null;
-  last: Readonly<Record<string, { ok: boolean; message: string } | null>>;
 }
 
 /** Of the selected vehicles; without a selection of none. */

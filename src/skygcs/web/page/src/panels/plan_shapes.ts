@@ -9,7 +9,6 @@ export interface Approach {
   vehicles: readonly [string, string];
   distance_m: number;
   margin_m: number;
-  clearance_m: number;
   terms: Readonly<Record<string, Readonly<Record<string, number>>>>;
   places_m: readonly [Vec3, Vec3];
   t_s: number | null;

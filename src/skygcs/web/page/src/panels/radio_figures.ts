@@ -26,7 +26,6 @@ export interface ClassCounters {
   replaced: number;
   dropped: number;
   refused: number;
-  wait_p50_s: number | null;
   wait_p95_s: number | null;
 }
 

@@ -29,7 +29,7 @@ interface ThirdParty {
   sources: readonly { source: string; age_s: number; sent: number; sent_bytes: number; counts: Readonly<Record<string, number>> }[];
 }
 
-interface Radio {
+export interface Radio {
   link: string;
   peer: string;
   vehicles: readonly RadioVehicle[];

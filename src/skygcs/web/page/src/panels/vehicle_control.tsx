@@ -98,7 +98,6 @@ interface GainsOf {
   xy: AxisGains;
   z: AxisGains;
   hover_thrust: number;
-  limits: Readonly<Record<string, number>>;
 }
 
 interface GainsAnswer {

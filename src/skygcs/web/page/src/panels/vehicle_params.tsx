@@ -21,8 +21,6 @@ interface MetadataAnswer {
 }
 
 interface ParamStatus {
-  known: number;
-  complete: boolean;
   loading: { received: number; count: number | null; percent: number | null; remaining_s: number | null } | null;
 }
 

@@ -6,7 +6,7 @@ import { toggled } from "../format.ts";
 import { useStore } from "../hooks.ts";
 import { runOrder } from "../orders.ts";
 import { mayOrder, readParams } from "./calls.ts";
-import { Check, Failure, useAsk, usePolled } from "./parts.tsx";
+import { Age, Check, Failure, useAsk, usePolled } from "./parts.tsx";
 import { valueText } from "./param_values.ts";
 import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus } from "./preflight_report.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
@@ -30,14 +30,15 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
     <>
       <div class="row">
         <p>
-          {here === null ? "" : here.state === "never" ? "Not examined since it started." : `Preflight ${here.state}.`}
+          {here === null ? "" : here.state === "never" ? "Not examined since it started." : <>Preflight {here.state}, <Age age_s={here.age_s} old_s={Infinity} /> ago.</>}
           {here?.required === true ? " A pass is required to arm." : ""}
         </p>
-        <button type="button" class="primary" disabled={!orders || run.busy} onClick={() => void run.run({ targets: [name] })}>
+        <button type="button" class="primary" disabled={!orders || run.busy} onClick={() => void run.run({ targets: [name] }).then(status.again)}>
           {run.busy ? "Examining …" : "Examine"}
         </button>
       </div>
       <Failure text={run.error ?? status.error} />
+      {here?.refusal != null && <p class="failure">An order to arm is refused: {here.refusal}</p>}
       {report !== null && (
         <>
           <p class={report.ok ? "good" : "failure"}>{report.summary}</p>
