@@ -132,10 +132,7 @@ export class Connection {
   private cancelRetry: () => void = () => undefined;
   private cancelWatch: () => void = () => undefined;
 
-  constructor(
-    private readonly url: string,
-    private readonly env: Surroundings = BROWSER,
-  ) {}
+  constructor(private readonly url: string, private readonly env: Surroundings = BROWSER) {}
 
   /** Connects, and again after each loss, until `end`. */
   begin(): void {

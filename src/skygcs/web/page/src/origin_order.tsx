@@ -25,8 +25,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
   const [lat_deg, lon_deg, alt_amsl_m, x_heading_deg] = FIELDS.map(([key]) => (fields[key].trim() === "" ? NaN : Number(fields[key])));
   const valid = FIELDS.every(([key]) => fields[key].trim() !== "" && Math.abs(Number(fields[key])) <= (LIMITS[key] ?? 0));
   const one = targets.length === 1 ? targets[0] : undefined;
-  const order = (label: string, method: string, params: object): void =>
-    void runOrder(store, connection, { label, method, params, targets: [] });
+  const order = (label: string, method: string, params: object): void => void runOrder(store, connection, { label, method, params, targets: [] });
   const click = (): void => {
     view.setTool({
       cursor: "crosshair",

@@ -15,10 +15,7 @@ export class HistoryRing {
   version = 0;
 
   /** `most`: rows kept, the newest. */
-  constructor(
-    private readonly count: number,
-    readonly most: number,
-  ) {
+  constructor(private readonly count: number, readonly most: number) {
     this.times = new Float64Array(most);
     this.values = new Float32Array(most * count);
   }

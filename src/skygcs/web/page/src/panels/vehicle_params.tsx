@@ -174,9 +174,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
           </li>
         ))}
       </ul>
-      {outside.length > 0 && (
-        <Check checked={insisting} onChecked={setInsisting}>set what is outside its range all the same</Check>
-      )}
+      {outside.length > 0 && <Check checked={insisting} onChecked={setInsisting}>set what is outside its range all the same</Check>}
       <div class="row">
         <HoldButton targets={[name]} what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
           {busy ? "Setting …" : `Set ${book.edits.size}`}
