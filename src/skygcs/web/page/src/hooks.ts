@@ -48,13 +48,16 @@ export function useOverlay(view: FleetView, id: string, shown: Overlay | null): 
   useEffect(() => () => view.setOverlay(id, null), [view, id]);
 }
 
-/** Listens to the window as the component was drawn last: the listener is replaced before any further event. One that waited for
- *  the next frame would hold, say, the vehicles that were selected before. */
+/** Listens to the window with what the component was drawn with last: a key must not act for vehicles that were selected before.
+ *  The listener itself stays: one that is replaced while an event goes round, as a selection draws the page anew, would miss it. */
 export function useWindowEvent<K extends keyof WindowEventMap>(kind: K, heard: (event: WindowEventMap[K]) => void, capture = false): void {
+  const latest = useRef(heard);
+  latest.current = heard;
   useLayoutEffect(() => {
-    addEventListener(kind, heard, { capture });
-    return () => removeEventListener(kind, heard, { capture });
-  });
+    const listener = (event: WindowEventMap[K]): void => latest.current(event);
+    addEventListener(kind, listener, { capture });
+    return () => removeEventListener(kind, listener, { capture });
+  }, [kind, capture]);
 }
 
 /** Calls its listeners at each change. */
