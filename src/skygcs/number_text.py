@@ -1,4 +1,4 @@
-"""Text of files, programs and people: numbers, as they come and as they are shown, TOML, misspelt names and lists of names."""
+"""Text of files, programs and people: numbers as they come and as they are shown, TOML, misspelt and listed names."""
 
 from __future__ import annotations
 

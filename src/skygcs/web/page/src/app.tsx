@@ -3,7 +3,7 @@
 import { useEffect, useLayoutEffect, useMemo, useState } from "preact/hooks";
 import type { Connection } from "./connection.ts";
 import { FleetCanvas } from "./fleet_canvas.tsx";
-import { useChanges, useStore } from "./hooks.ts";
+import { useChanges, useStore, useWindowEvent } from "./hooks.ts";
 import { LateModule } from "./late_module.ts";
 import { OrdersPanel } from "./orders_panel.tsx";
 import { OrderList } from "./order_list.tsx";
@@ -11,14 +11,12 @@ import { PANELS } from "./panels/index.ts";
 import type { Panel, PanelProps } from "./panels/registry.ts";
 import { DrillBar } from "./drill_bar.tsx";
 import { PlanBar } from "./plan_bar.tsx";
-import { Banner, FleetSummary, ThemeButton } from "./status_bar.tsx";
+import { Banner, FleetSummary, ThemeButton, TroubleStrip } from "./status_bar.tsx";
 import { recalledShare } from "./split.ts";
 import { Splitter } from "./splitter.tsx";
-import { StopButton } from "./stop.tsx";
-import { StopBoard } from "./stop_board.tsx";
+import { StopBoard, StopButton } from "./stop.tsx";
 import type { State, Store } from "./store.ts";
 import { FleetTable } from "./table.tsx";
-import { TroubleStrip } from "./trouble_strip.tsx";
 import { FleetView } from "./view/fleet_view.ts";
 import { Shortcuts } from "./shortcuts.tsx";
 
@@ -41,10 +39,7 @@ export function App({ store, connection }: { store: Store; connection: Connectio
       <a class="skip" href="#main">Skip to the fleet</a>
       <header class="top">
         <h1 class="unseen">skygcs</h1>
-        <span class="brand" aria-hidden="true">
-          <svg viewBox="0 0 24 24" width="22" height="22"><path d="M12 2 20 21 12 17 4 21z" /></svg>
-          skygcs
-        </span>
+        <span class="brand" aria-hidden="true"><svg viewBox="0 0 24 24" width="22" height="22"><path d="M12 2 20 21 12 17 4 21z" /></svg>skygcs</span>
         <nav class="pages" aria-label="Pages">
           <PageTab id={FLEET} title="Fleet" now={open === undefined} go={go} />
           {panels.filter((panel) => panel.place === "page").map((panel) => (
@@ -81,21 +76,12 @@ function visiblePanels(state: State): Panel[] {
 function usePage(): [string, (id: string) => void] {
   const read = (): string => location.hash.slice(1) || FLEET;
   const [page, setPage] = useState(read);
-  useEffect(() => {
-    const onHash = (): void => setPage(read());
-    addEventListener("hashchange", onHash);
-    return () => removeEventListener("hashchange", onHash);
-  }, []);
+  useWindowEvent("hashchange", () => setPage(read()));
   return [page, (id) => { location.hash = id; }];
 }
 
 function PageTab({ id, title, now, go, badge }: { id: string; title: string; now: boolean; go: (id: string) => void; badge?: preact.ComponentChildren }) {
-  return (
-    <button type="button" class="tab" aria-current={now ? "page" : undefined} onClick={() => go(id)}>
-      {title}
-      {badge}
-    </button>
-  );
+  return <button type="button" class="tab" aria-current={now ? "page" : undefined} onClick={() => go(id)}>{title}{badge}</button>;
 }
 
 function Badge({ store, panel }: { store: Store; panel: Panel }) {
@@ -149,12 +135,7 @@ function Fleet({ hidden, sides, ...props }: PanelProps & { hidden: boolean; side
 }
 
 function SideTab({ id, title, now, open, badge }: { id: string; title: string; now: boolean; open: (id: string) => void; badge?: preact.ComponentChildren }) {
-  return (
-    <button type="button" role="tab" class="tab" aria-selected={now} onClick={() => open(id)}>
-      {title}
-      {badge}
-    </button>
-  );
+  return <button type="button" role="tab" class="tab" aria-selected={now} onClick={() => open(id)}>{title}{badge}</button>;
 }
 
 type Components = typeof import("./panels/components.ts");

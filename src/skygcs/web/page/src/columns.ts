@@ -1,10 +1,12 @@
-// The columns of the fleet table: what a cell says, how it is sorted, and when it warns. Pure.
+// The columns of the fleet table, what a cell says, how it is sorted and when it warns; its rows, by site too. Pure.
 
-import { aged, cell, UNKNOWN, withUnit, type Cell, type Tone } from "./cells.ts";
+import { aged, cell, type Cell, type Tone, UNKNOWN, withUnit } from "./cells.ts";
 import { ageText, fixed, percentText } from "./format.ts";
-import { ageOf, isHeard, SILENT_S, silenceOf, type Vehicle } from "./store.ts";
-import { EMPTY_BATTERY_PERCENT, isProblem, LOW_BATTERY_PERCENT, troubleRank } from "./trouble.ts";
+import { siteOf } from "./levels.ts";
 import { isFlown } from "./setpoint_orders.ts";
+import { ageOf, isHeard, silenceOf, SILENT_S, type State, type Vehicle } from "./store.ts";
+import { EMPTY_BATTERY_PERCENT, isInAir, isLostInAir, isProblem, LOW_BATTERY_PERCENT, troubleRank } from "./trouble.ts";
+import type { SiteCounts } from "./types.ts";
 import { statusOf, statusRank, type Surroundings } from "./vehicle_status.ts";
 
 export interface Column {
@@ -27,13 +29,7 @@ export interface Column {
 
 const HIGH_LOSS = 0.05;
 export const COLUMNS: readonly Column[] = [
-  {
-    id: "name",
-    title: "Name",
-    narrow: true,
-    cell: (v) => ({ ...cell(v.name), under: v.mode ?? "" }),
-    sortBy: (v) => v.name,
-  },
+  { id: "name", title: "Name", narrow: true, cell: (v) => ({ ...cell(v.name), under: v.mode ?? "" }), sortBy: (v) => v.name },
   { id: "id", title: "Id", numeric: true, cell: (v) => cell(String(v.sysid), v.duplicate_sysid ? "danger" : "muted"), sortBy: (v) => v.sysid },
   {
     id: "autopilot",
@@ -42,14 +38,7 @@ export const COLUMNS: readonly Column[] = [
     sortBy: (v) => `${v.autopilot} ${v.firmware ?? ""}`,
   },
   { id: "mode", title: "Mode", cell: (v) => cell(v.mode), sortBy: (v) => v.mode },
-  {
-    id: "status",
-    title: "Status",
-    narrow: true,
-    ofNow: true,
-    cell: (v, now, around) => onPhone(statusOf(v, now, around), v),
-    sortBy: statusRank,
-  },
+  { id: "status", title: "Status", narrow: true, ofNow: true, cell: (v, now, around) => onPhone(statusOf(v, now, around), v), sortBy: statusRank },
   { id: "armed", title: "Armed", cell: armedCell, sortBy: (v) => (v.armed === true ? 0 : 1) },
   {
     id: "height",
@@ -122,10 +111,7 @@ function gpsCell(v: Vehicle, now_s: number): Cell {
 function bestLink(v: Vehicle): { name: string; loss: number | null } | null {
   const links = Object.entries(v.links);
   const [first] = links.sort(
-    ([, a], [, b]) =>
-      Number(b.chosen ?? 0) - Number(a.chosen ?? 0) ||
-      a.age_s - b.age_s ||
-      (a.loss_ratio ?? 1) - (b.loss_ratio ?? 1),
+    ([, a], [, b]) => Number(b.chosen ?? 0) - Number(a.chosen ?? 0) || a.age_s - b.age_s || (a.loss_ratio ?? 1) - (b.loss_ratio ?? 1),
   );
   return first === undefined ? null : { name: first[0], loss: first[1].loss_ratio };
 }
@@ -241,9 +227,7 @@ export function rowsOf(vehicles: readonly Vehicle[], grouping: Grouping): Row[] 
     if (members === undefined) groups.set(title, [vehicle]);
     else members.push(vehicle);
   }
-  return [...groups]
-    .sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true }))
-    .flatMap(([title, members]): Row[] => [
+  return [...groups].sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true })).flatMap(([title, members]): Row[] => [
       { kind: "group", title, names: members.map((vehicle) => vehicle.name) },
       ...members.map((vehicle): Row => ({ kind: "vehicle", vehicle })),
     ]);
@@ -252,4 +236,67 @@ export function rowsOf(vehicles: readonly Vehicle[], grouping: Grouping): Row[] 
 function groupOf(vehicle: Vehicle, grouping: Grouping): string {
   if (grouping === "group") return vehicle.groups[0] ?? "no group";
   return grouping === "mode" ? (vehicle.mode ?? "mode not known") : autopilotName(vehicle.autopilot);
+}
+
+export type SiteRow = { kind: "site"; counts: SiteCounts; names: string[]; unfolded: boolean };
+
+/** ``found``: the vehicles that the filter leaves, sorted; while it filters, every site is unfolded. */
+export function siteRows(state: State, found: readonly Vehicle[], now_s: number): (Row | SiteRow)[] {
+  const filtered = state.search.trim() !== "";
+  const members = new Map<string, Vehicle[]>(state.sites.map((site) => [site, []]));
+  for (const vehicle of found) members.get(siteOf(vehicle.name))?.push(vehicle);
+  return countsOf(state, now_s).flatMap((counts): (Row | SiteRow)[] => {
+    const inside = members.get(counts.site) ?? [];
+    if (filtered && inside.length === 0) return [];
+    const unfolded = filtered || state.unfolded.has(counts.site);
+    const names = filtered ? inside.map(({ name }) => name) : state.names.filter((name) => siteOf(name) === counts.site);
+    const rows = unfolded ? inside.map((vehicle): Row => ({ kind: "vehicle", vehicle })) : [];
+    return [{ kind: "site", counts, names, unfolded }, ...rows];
+  });
+}
+
+/** Those that the server sent of a large fleet, otherwise counted here. */
+function countsOf(state: State, now_s: number): readonly SiteCounts[] {
+  if (state.counts !== null) return state.counts;
+  const all = [...state.vehicles.values()];
+  return state.sites.map((site) => {
+    const here = all.filter(({ name }) => siteOf(name) === site);
+    const heard = here.filter((vehicle) => isHeard(vehicle, now_s));
+    const counted = here.filter((vehicle) => isHeard(vehicle, now_s) || isLostInAir(vehicle, now_s));
+    return {
+      site,
+      vehicles: here.length,
+      heard: heard.length,
+      armed: counted.filter(({ armed }) => armed === true).length,
+      in_air: counted.filter(isInAir).length,
+      problems: here.length - heard.length + heard.filter(isProblem).length,
+      oldest_age_s: Math.max(...here.map((vehicle) => silenceOf(vehicle, now_s) ?? Infinity)),
+    };
+  });
+}
+
+export interface FleetFigures {
+  vehicles: number;
+  armed: number;
+  inAir: number;
+  failsafe: number;
+  silent: number;
+  /** Of the silent ones, those that were in the air when they were last heard: they may still be. */
+  silentInAir: number;
+}
+
+/** What is said of the whole fleet in one line. One that was lost in the air still counts as armed and in the air; one that
+ *  is not heard on the ground counts as neither. */
+export function fleetFigures(vehicles: readonly Vehicle[], now_s: number): FleetFigures {
+  const heard = vehicles.filter((vehicle) => isHeard(vehicle, now_s));
+  const lost = vehicles.filter((vehicle) => isLostInAir(vehicle, now_s));
+  const counted = [...heard, ...lost];
+  return {
+    vehicles: vehicles.length,
+    armed: counted.filter(({ armed }) => armed === true).length,
+    inAir: counted.filter(isInAir).length,
+    failsafe: heard.filter(({ failsafe }) => failsafe).length,
+    silent: vehicles.length - heard.length,
+    silentInAir: lost.length,
+  };
 }

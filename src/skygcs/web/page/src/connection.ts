@@ -51,10 +51,7 @@ export class NoAnswer extends Error {
   }
 }
 
-export type Phase =
-  | { kind: "connecting" }
-  | { kind: "open" }
-  | { kind: "lost"; retryInMs: number; attempt: number; reason: string };
+export type Phase = { kind: "connecting" } | { kind: "open" } | { kind: "lost"; retryInMs: number; attempt: number; reason: string };
 
 /** The part of WebSocket that is used, so that tests can play the server. */
 export interface Socket {
@@ -135,10 +132,7 @@ export class Connection {
   private cancelRetry: () => void = () => undefined;
   private cancelWatch: () => void = () => undefined;
 
-  constructor(
-    private readonly url: string,
-    private readonly env: Surroundings = BROWSER,
-  ) {}
+  constructor(private readonly url: string, private readonly env: Surroundings = BROWSER) {}
 
   /** Connects, and again after each loss, until `end`. */
   begin(): void {

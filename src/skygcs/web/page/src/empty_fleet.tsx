@@ -4,7 +4,7 @@ import type { Connection } from "./connection.ts";
 import { useStore } from "./hooks.ts";
 import { linkHint, type Link } from "./link_hints.ts";
 import { Failure, usePolled } from "./panels/parts.tsx";
-import { countText } from "./panels/radio_figures.ts";
+import { countText } from "./format.ts";
 import type { Store } from "./store.ts";
 
 export function EmptyFleet({ store, connection }: { store: Store; connection: Connection }) {

@@ -1,10 +1,9 @@
 // The canvas as a part of the page: pointer, wheel, fingers and keys, and the buttons on it.
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { hideFences, showFences } from "./fences.ts";
+import { beginPlannedPaths, hideFences, showFences } from "./planned_paths.ts";
 import { useChanges, useStore } from "./hooks.ts";
 import type { PanelProps } from "./panels/registry.ts";
-import { beginPlannedPaths } from "./planned_paths.ts";
 import { beginInput } from "./view/input.ts";
 
 export function FleetCanvas({ store, connection, view }: PanelProps) {

@@ -51,3 +51,16 @@ function listText(names: readonly string[]): string {
 export function toDecimetre(metres: number): number {
   return Math.round(metres * 10) / 10;
 }
+
+/** The set with this one where it was not, without it where it was. */
+export function toggled<T>(set: ReadonlySet<T>, one: T): ReadonlySet<T> {
+  const next = new Set(set);
+  if (!next.delete(one)) next.add(one);
+  return next;
+}
+
+/** 12,345 with thin spaces. */
+export function countText(count: number | null | undefined): string {
+  if (count === null || count === undefined) return "–";
+  return String(count).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+}

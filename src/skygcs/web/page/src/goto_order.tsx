@@ -1,16 +1,16 @@
 // The order to fly to a place: typed, clicked, or taken over from where the vehicles are or are sent.
 
-import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { fixed } from "./format.ts";
 import { frameKeyOf } from "./framed.ts";
-import { beginGoto, goalsOf, type GotoDraft } from "./goto_draft.ts";
-import { currentPlace, targetPlace, type Place } from "./goto_places.ts";
+import { beginGoto, currentPlace, goalsOf, type GotoDraft, type Place, targetPlace } from "./goto_draft.ts";
 import { HoldButton } from "./hold_button.tsx";
-import { useFramed, useStore } from "./hooks.ts";
-import { OrderChain } from "./order_chains.ts";
+import { useFramed, useStore, useWindowEvent } from "./hooks.ts";
+import { OrderChain } from "./orders.ts";
 import { FrameNote, Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
+import { Check } from "./panels/parts.tsx";
 import { engage } from "./setpoint_orders.ts";
-import { isSeen, isTextField } from "./stop_key.ts";
+import { isLetterFor } from "./stop_key.ts";
 import type { Store, Vehicle } from "./store.ts";
 
 const NOWHERE = { x: "", y: "" };
@@ -56,9 +56,7 @@ export function Goto({ store, connection, view, targets, enabled, send }: Button
         <ChooseButton enabled={enabled} pressed={draft.active && view.tool !== null} pick={draft.begin} />
       </div>
       <PlaceFields fields={fields} onField={(key, text) => (key === "height" ? setHeightText(text) : setAt((before) => ({ ...before, [key]: text })))} />
-      <label class="check" title="The daemon sends the place as a setpoint, over and over, until Off or another order">
-        <input type="checkbox" checked={kept} onChange={(event) => setKept(event.currentTarget.checked)} /> Keep sending it, by setpoints
-      </label>
+      <Check checked={kept} onChecked={setKept} title="The daemon sends the place as a setpoint, over and over, until Off or another order">Keep sending it, by setpoints</Check>
       <HoldButton targets={targets} class="order wide" disabled={!enabled || place === null} what={`Send ${who} to x ${at.x}, y ${at.y}${up}${kept ? ", by setpoints until Off" : ""}`} act={act}>
         <span>Send there</span>
       </HoldButton>
@@ -102,14 +100,7 @@ function useGotoDraft({ store, view }: Pick<ButtonsProps, "store" | "view">, at:
 
 function ChooseButton({ enabled, pressed, pick }: { enabled: boolean; pressed: boolean; pick: () => void }) {
   const chooser = useRef<HTMLButtonElement>(null);
-  useLayoutEffect(() => {
-    const onKey = (event: KeyboardEvent): void => {
-      if (event.key.toLowerCase() !== "g" || !enabled || event.repeat || isTextField(event.target) || !isSeen(chooser.current)) return;
-      if (!(event.ctrlKey || event.metaKey || event.altKey)) pick();
-    };
-    addEventListener("keydown", onKey);
-    return () => removeEventListener("keydown", onKey);
-  });
+  useWindowEvent("keydown", (event) => { if (enabled && isLetterFor(event, "g", chooser.current)) pick(); });
   return <button ref={chooser} type="button" disabled={!enabled} aria-keyshortcuts="G" onClick={pick} aria-pressed={pressed}>Choose in the view<Key letter="G" /></button>;
 }
 

@@ -2,7 +2,8 @@
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { ComponentChildren } from "preact";
-import { isSeen, isTextField } from "./stop_key.ts";
+import { useWindowEvent } from "./hooks.ts";
+import { isLetterFor } from "./stop_key.ts";
 
 export const HOLD_MS = 1_000;
 /** Time for which a press that was too short shows how long to hold. */
@@ -67,7 +68,9 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
   // what it is for changed under the finger: begin anew, before the timer can act for the new ones
   const about = `${what}\n${targets.join("\n")}`;
   useLayoutEffect(() => release, [about]);
-  useHotkey(hotkey, button, press, letGo, disabled);
+  useWindowEvent("blur", letGo);
+  useWindowEvent("keydown", (event) => { if (isLetterFor(event, hotkey, button.current)) press(); });
+  useWindowEvent("keyup", (event) => { if (!disabled && event.key.toLowerCase() === hotkey) letGo(); });
 
   const isKey = (event: KeyboardEvent): boolean => event.key === " " || event.key === "Enter";
   return (
@@ -108,37 +111,4 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
 /** What is about to happen and to whom, large, where no finger covers it. */
 function HoldHint({ text }: { text: string }) {
   return <span class="holdhint" role="status">{text}</span>;
-}
-
-function useHotkey(
-  hotkey: string | undefined,
-  button: { readonly current: HTMLElement | null },
-  press: () => void,
-  release: () => void,
-  disabled: boolean,
-): void {
-  const calls = useRef({ press, release });
-  calls.current = { press, release };
-  useLayoutEffect(() => {
-    const onBlur = (): void => calls.current.release();
-    addEventListener("blur", onBlur);
-    if (hotkey === undefined || disabled) return () => removeEventListener("blur", onBlur);
-    const isIt = (event: KeyboardEvent): boolean => event.key.toLowerCase() === hotkey;
-    const onDown = (event: KeyboardEvent): void => {
-      if (!isIt(event) || event.repeat || !event.isTrusted || isTextField(event.target)) return;
-      if (!isSeen(button.current)) return;
-      if (event.shiftKey || event.ctrlKey || event.metaKey || event.altKey) return;
-      calls.current.press();
-    };
-    const onUp = (event: KeyboardEvent): void => {
-      if (isIt(event)) calls.current.release();
-    };
-    addEventListener("keydown", onDown);
-    addEventListener("keyup", onUp);
-    return () => {
-      removeEventListener("keydown", onDown);
-      removeEventListener("keyup", onUp);
-      removeEventListener("blur", onBlur);
-    };
-  }, [hotkey, button, disabled]);
 }

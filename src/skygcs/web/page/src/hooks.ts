@@ -48,14 +48,36 @@ export function useOverlay(view: FleetView, id: string, shown: Overlay | null): 
   useEffect(() => () => view.setOverlay(id, null), [view, id]);
 }
 
-/** What calls its listeners at each change, and returns what removes a listener. */
-export interface Changing {
-  onChange(listener: () => void): () => void;
+/** Listens to the window with what the component was drawn with last: a key must not act for vehicles that were selected before.
+ *  The listener itself stays: one that is replaced while an event goes round, as a selection draws the page anew, would miss it. */
+export function useWindowEvent<K extends keyof WindowEventMap>(kind: K, heard: (event: WindowEventMap[K]) => void, capture = false): void {
+  const latest = useRef(heard);
+  latest.current = heard;
+  useLayoutEffect(() => {
+    const listener = (event: WindowEventMap[K]): void => latest.current(event);
+    addEventListener(kind, listener, { capture });
+    return () => removeEventListener(kind, listener, { capture });
+  }, [kind, capture]);
+}
+
+/** Calls its listeners at each change. */
+export class Changes {
+  private readonly listeners = new Set<() => void>();
+
+  /** Returns what removes the listener. */
+  onChange(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  protected changed(): void {
+    for (const listener of [...this.listeners]) listener();
+  }
 }
 
 /** Draws the component again at each change of ``source``. It listens before anything else can happen: an effect that
  * waits for the next frame would miss what comes until then, and the frames of a hidden page do not come. */
-export function useChanges(source: Changing): void {
+export function useChanges(source: Pick<Changes, "onChange">): void {
   const [, redraw] = useReducer((n: number) => n + 1, 0);
   useLayoutEffect(() => source.onChange(() => redraw(0)), [source]);
 }

@@ -1,23 +1,19 @@
 // A part of the page that is loaded after the rest, and asked for again where that failed: with the link down a reload would cost
 // the whole page, and its STOP.
 
+import { Changes } from "./hooks.ts";
+
 /** `unreachable`: it could not be loaded. `refused`: and the ground station answers, so that it has another page by now. */
 export type Trouble = "unreachable" | "refused";
 
-export class LateModule<T> {
+export class LateModule<T> extends Changes {
   loaded: T | null = null;
   trouble: Trouble | null = null;
   private asking = false;
   private tries = 0;
-  private readonly listeners = new Set<() => void>();
 
   /** `load` is called anew at each try. */
-  constructor(private readonly load: () => Promise<T>) {}
-
-  onChange(listener: () => void): () => void {
-    this.listeners.add(listener);
-    return () => this.listeners.delete(listener);
-  }
+  constructor(private readonly load: () => Promise<T>) { super(); }
 
   /** Loads it, unless it is there or on its way. Never rejects. `answers`: whether the ground station does, asked after a failure. */
   async ask(answers: () => Promise<boolean>): Promise<void> {
@@ -33,6 +29,6 @@ export class LateModule<T> {
 
   private become(trouble: Trouble | null): void {
     this.trouble = trouble;
-    for (const listener of this.listeners) listener();
+    this.changed();
   }
 }

@@ -19,7 +19,6 @@ const UNKNOWN: Omit<VehicleState, "name" | "sysid"> = {
   duplicate_sysid: false,
   replayed: false,
   last_heartbeat_age_s: null,
-  uptime_s: null,
   armed: null,
   mode: null,
   system_status: "",

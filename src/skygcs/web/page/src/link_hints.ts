@@ -74,19 +74,12 @@ function withoutHeartbeat(link: Link): string {
 
 function silent(link: Link): string {
   switch (link.type) {
-    case "serial":
-      return "No bytes: has the radio power, are both radios paired, is it the right port, are TX and RX crossed?";
-    case "xbee":
-      return "No bytes: have the radios power, and are they in the same network?";
-    case "udp_server":
-      return "Nothing came: the vehicle sends to this computer's address and this port; does a firewall keep it out?";
-    case "udp_client":
-      return "Nothing came back: is the vehicle's address right, and is it in this network?";
-    case "tcp_client":
-      return "Connected, and nothing comes: is it the port of MAVLink?";
-    case "tcp_server":
-      return "Nothing came: the vehicle connects to this computer's address and this port; does a firewall keep it out?";
-    default:
-      return "Nothing came yet.";
+    case "serial": return "No bytes: has the radio power, are both radios paired, is it the right port, are TX and RX crossed?";
+    case "xbee": return "No bytes: have the radios power, and are they in the same network?";
+    case "udp_server": return "Nothing came: the vehicle sends to this computer's address and this port; does a firewall keep it out?";
+    case "udp_client": return "Nothing came back: is the vehicle's address right, and is it in this network?";
+    case "tcp_client": return "Connected, and nothing comes: is it the port of MAVLink?";
+    case "tcp_server": return "Nothing came: the vehicle connects to this computer's address and this port; does a firewall keep it out?";
+    default: return "Nothing came yet.";
   }
 }

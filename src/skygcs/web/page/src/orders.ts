@@ -1,8 +1,7 @@
 // Orders to vehicles: what they are, how each is sent, and what is said of it. An order is sent once.
 
-import { ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADLINE_S, type Connection } from "./connection.ts";
+import { type Connection, ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADLINE_S } from "./connection.ts";
 import { siteOf } from "./levels.ts";
-import { takeOver, type OrderChain } from "./order_chains.ts";
 import { isUnknown, lost, outcomeOf, stateOf } from "./outcomes.ts";
 import type { OrderRun, OrderState, Store } from "./store.ts";
 import type { Outcome, SiteAnswer } from "./types.ts";
@@ -36,9 +35,9 @@ export type Reader<T> = (answer: T) => { state: OrderState; outcomes: Outcomes; 
 
 type Outcomes = Readonly<Record<string, Outcome>>;
 
-/** Of an order whose answer has an outcome for each vehicle. */
-export function readOutcomes(answer: { outcomes?: Outcomes } | null): ReturnType<Reader<unknown>> {
-  const outcomes = answer?.outcomes ?? {};
+/** Of an order whose answer has an outcome for each vehicle, or says by coming that it was carried out. */
+function readOutcomes(answer: unknown): ReturnType<Reader<unknown>> {
+  const { outcomes = {} } = (answer ?? {}) as { outcomes?: Outcomes };
   return { state: stateOf(outcomes), outcomes, text: null };
 }
 
@@ -48,7 +47,7 @@ export async function runOrder<T>(
   store: OrderStore,
   connection: Sender,
   request: { label: string; method: string; params: object; targets: readonly string[]; withinS?: number | undefined; chain?: OrderChain | undefined },
-  read: Reader<T>,
+  read: Reader<T> = readOutcomes,
   ended: (state: OrderState) => void = () => undefined,
 ): Promise<T | null> {
   const { label, method, targets, chain } = request;
@@ -131,4 +130,28 @@ export async function askOutcomes(store: OrderStore, connection: Sender, order: 
 export function refusalText(error: unknown): string {
   if (error instanceof RpcError) return error.message;
   return error instanceof Error ? error.message : String(error);
+}
+
+const owners = new Map<string, OrderChain>();
+
+export class OrderChain {
+  constructor(readonly targets: readonly string[]) {
+    takeOver(targets);
+    for (const name of targets) owners.set(name, this);
+  }
+
+  /** No newer chain and no other order was for one of its vehicles. */
+  get goesOn(): boolean {
+    return this.targets.length > 0 && this.targets.every((name) => owners.get(name) === this);
+  }
+
+  /** No further step is sent. Idempotent. */
+  end(): void {
+    for (const name of this.targets) if (owners.get(name) === this) owners.delete(name);
+  }
+}
+
+/** A newer order for these vehicles ends, as a whole, each chain that owns one of them. */
+export function takeOver(targets: readonly string[]): void {
+  for (const name of targets) owners.get(name)?.end();
 }

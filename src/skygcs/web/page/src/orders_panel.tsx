@@ -1,10 +1,10 @@
 // Orders for the selected vehicles. Hold, STOP and the end of setpoints act at once; everything else is held down for a second.
 
-import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { namesText } from "./format.ts";
 import { Goto } from "./goto_order.tsx";
 import { HoldButton } from "./hold_button.tsx";
-import { useStore } from "./hooks.ts";
+import { useStore, useWindowEvent } from "./hooks.ts";
 import { OrderHistory } from "./order_list.tsx";
 import { Key, useTargetsText, type ButtonsProps } from "./order_parts.tsx";
 import { sendOrder, type OrderRequest } from "./orders.ts";
@@ -13,7 +13,7 @@ import type { PanelProps } from "./panels/registry.ts";
 import { isControlled, keptText } from "./setpoint_orders.ts";
 import { ShapeOrder } from "./shape_order.tsx";
 import { modesFor } from "./modes.ts";
-import { isSeen, isTextField } from "./stop_key.ts";
+import { isLetterFor } from "./stop_key.ts";
 import { isHeard, serverNowS, type OrderState, type State } from "./store.ts";
 
 const DEFAULT_HEIGHT_M = 10;
@@ -53,9 +53,7 @@ function Targets({ store, targets }: PanelProps & { targets: readonly string[] }
   return (
     <section class="targets" aria-label="Targets">
       <p class="for" aria-live="polite">
-        {targets.length === 0 ? (
-          <span class="muted">Select vehicles in the view or the table.</span>
-        ) : (
+        {targets.length === 0 ? <span class="muted">Select vehicles in the view or the table.</span> : (
           <><b>{targets.length === all.length && all.length > 1 ? `All ${all.length}` : targets.length === 1 ? targets[0] : `${targets.length} vehicles`}</b>
             {targets.length > 1 && <span class="muted"> {namesText(targets, 6)}</span>}</>
         )}
@@ -82,20 +80,23 @@ function OrderButtons(props: ButtonsProps) {
   const height = Number(heightText);
   const heightOk = heightText.trim() !== "" && height > 0 && height <= MOST_HEIGHT_M;
   const hold = useRef<HTMLButtonElement>(null);
-  useHoldKey(enabled, hold, () => void send({ label: "Hold", method: "vehicles.hold", params: {} }));
+  const holdNow = (): void => void send({ label: "Hold", method: "vehicles.hold", params: {} });
+  // at once: it is the one order that makes things calmer
+  useWindowEvent("keydown", (event) => { if (enabled && isLetterFor(event, "h", hold.current)) holdNow(); });
+  const held = (title: string, method: string, letter: string) => (
+    <HoldButton targets={targets} class="order" hotkey={letter.toLowerCase()} disabled={!enabled} what={`${title} ${who}`} act={() => void send({ label: title, method, params: {} })}>
+      <span>{title}</span><Key letter={letter} />
+    </HoldButton>
+  );
   return (
     <>
       <section class="buttons" aria-label="Orders">
         <button ref={hold} type="button" class="order primary first" disabled={!enabled} aria-keyshortcuts="H" title={`Hold ${who} where ${targets.length === 1 ? "it is" : "they are"}, at once`}
-          onClick={(event) => event.isTrusted && void send({ label: "Hold", method: "vehicles.hold", params: {} })}>
+          onClick={(event) => event.isTrusted && holdNow()}>
           <span>Hold</span><Key letter="H" />
         </button>
-        <HoldButton targets={targets} class="order" hotkey="a" disabled={!enabled} what={`Arm ${who}`} act={() => void send({ label: "Arm", method: "vehicles.arm", params: {} })}>
-          <span>Arm</span><Key letter="A" />
-        </HoldButton>
-        <HoldButton targets={targets} class="order" hotkey="d" disabled={!enabled} what={`Disarm ${who}`} act={() => void send({ label: "Disarm", method: "vehicles.disarm", params: {} })}>
-          <span>Disarm</span><Key letter="D" />
-        </HoldButton>
+        {held("Arm", "vehicles.arm", "A")}
+        {held("Disarm", "vehicles.disarm", "D")}
         <div class="pair">
           <HoldButton targets={targets} class="order" hotkey="t" disabled={!enabled || !heightOk} what={`Take off ${who} to ${heightText} m`}
             act={() => void send({ label: `Take off to ${height} m`, method: "vehicles.takeoff", params: { height_m: height } })}>
@@ -107,12 +108,8 @@ function OrderButtons(props: ButtonsProps) {
             <span>m</span>
           </label>
         </div>
-        <HoldButton targets={targets} class="order" hotkey="r" disabled={!enabled} what={`Return ${who}`} act={() => void send({ label: "Return", method: "vehicles.rtl", params: {} })}>
-          <span>Return</span><Key letter="R" />
-        </HoldButton>
-        <HoldButton targets={targets} class="order" hotkey="l" disabled={!enabled} what={`Land ${who}`} act={() => void send({ label: "Land", method: "vehicles.land", params: {} })}>
-          <span>Land</span><Key letter="L" />
-        </HoldButton>
+        {held("Return", "vehicles.rtl", "R")}
+        {held("Land", "vehicles.land", "L")}
       </section>
       <Goto {...props} />
       <Mode {...props} />
@@ -122,21 +119,6 @@ function OrderButtons(props: ButtonsProps) {
       <Emergency {...props} />
     </>
   );
-}
-
-/** H acts at once: it is the one order that makes things calmer. The listener has the targets that it was drawn with, so it
- * is replaced before any further event: one that waited for the next frame would hold those that were selected before. */
-function useHoldKey(enabled: boolean, button: { readonly current: HTMLElement | null }, act: () => void): void {
-  useLayoutEffect(() => {
-    if (!enabled) return undefined;
-    const onKey = (event: KeyboardEvent): void => {
-      if (event.key.toLowerCase() !== "h" || event.repeat || !event.isTrusted || isTextField(event.target)) return;
-      if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey || !isSeen(button.current)) return;
-      act();
-    };
-    addEventListener("keydown", onKey);
-    return () => removeEventListener("keydown", onKey);
-  });
 }
 
 /** What a mode is for, for vehicles of different firmware at once. Following setpoints is engaged, not only set. */
@@ -162,9 +144,7 @@ function Mode({ store, targets, enabled, send }: ButtonsProps) {
         <span>Mode</span>
         <select value={mode} disabled={!enabled} onChange={(event) => setMode(event.currentTarget.value)}>
           <option value="">choose</option>
-          <optgroup label="By meaning, for any firmware">
-            {MEANINGS.map(({ title }) => <option key={title} value={title}>{title}</option>)}
-          </optgroup>
+          <optgroup label="By meaning, for any firmware">{MEANINGS.map(({ title }) => <option key={title} value={title}>{title}</option>)}</optgroup>
           {names.length > 0 && <optgroup label="By name">{names.map((name) => <option key={name} value={name}>{name}</option>)}</optgroup>}
         </select>
       </label>

@@ -5,11 +5,12 @@ import { fixed } from "./format.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
 import type { ButtonsProps } from "./order_parts.tsx";
-import { orderWith } from "./panels/calls.ts";
+import { runOrder } from "./orders.ts";
+import { Check } from "./panels/parts.tsx";
 import type { Origin } from "./types.ts";
 
 const DIGITS_DEG = 7;
-const FIELDS = [["lat", "Latitude, °"], ["lon", "Longitude, °"], ["alt", "Height, m AMSL"], ["heading", "x axis, °"]] as const;
+const FIELDS = [["lat", "Latitude, °"], ["lon", "Longitude, °"], ["alt", "Height, m AMSL"], ["heading", "Heading of x, °"]] as const;
 const LIMITS: Readonly<Record<string, number>> = { lat: 90, lon: 180, alt: 9000, heading: 360 };
 
 type Fields = Readonly<Record<(typeof FIELDS)[number][0], string>>;
@@ -24,8 +25,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
   const [lat_deg, lon_deg, alt_amsl_m, x_heading_deg] = FIELDS.map(([key]) => (fields[key].trim() === "" ? NaN : Number(fields[key])));
   const valid = FIELDS.every(([key]) => fields[key].trim() !== "" && Math.abs(Number(fields[key])) <= (LIMITS[key] ?? 0));
   const one = targets.length === 1 ? targets[0] : undefined;
-  const order = (label: string, method: string, params: object): void =>
-    void orderWith(store, connection, { label, method, params, targets: [] }, () => ({ ok: true, outcomes: {}, text: null }));
+  const order = (label: string, method: string, params: object): void => void runOrder(store, connection, { label, method, params, targets: [] });
   const click = (): void => {
     view.setTool({
       cursor: "crosshair",
@@ -61,7 +61,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
             act={() => order(`Origin from ${one ?? ""}`, "origin.from_vehicle", { target: one, heading: nose })}>
             {one === undefined ? "Where one vehicle is" : `Where ${one} is`}
           </HoldButton>
-          <label class="check"><input type="checkbox" checked={nose} onChange={(event) => setNose(event.currentTarget.checked)} /> x along its nose</label>
+          <Check checked={nose} onChecked={setNose}>x along its nose</Check>
         </div>
       </>}
     </details>

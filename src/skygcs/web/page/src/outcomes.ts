@@ -41,17 +41,13 @@ export function isUnknown({ result, id }: Outcome): boolean {
 /** The answer of federation.outcome as the outcome of its vehicle. */
 export function outcomeOf({ id, status, text, outcome }: SiteAnswer): Outcome {
   switch (status) {
-    case "unknown":
-      return lost(id, `outcome unknown: ${text}`);
-    case "running":
-      return lost(id, "still being carried out");
+    case "unknown": return lost(id, `outcome unknown: ${text}`);
+    case "running": return lost(id, "still being carried out");
     case "done":
-    case "failed":
-      return outcome ?? { ok: status === "done", result: status === "done" ? "accepted" : "failed", message: text || status };
+    case "failed": return outcome ?? { ok: status === "done", result: status === "done" ? "accepted" : "failed", message: text || status };
     case "refused":
     case "late":
-    case "never came":
-      return outcome ?? { ok: false, result: "refused", message: `not carried out: ${text || status}` };
+    case "never came": return outcome ?? { ok: false, result: "refused", message: `not carried out: ${text || status}` };
   }
 }
 

@@ -4,7 +4,8 @@ import type { Connection } from "./connection.ts";
 import { namesText } from "./format.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useStore } from "./hooks.ts";
-import { mayOrder, orderWith, readMessage } from "./panels/calls.ts";
+import { mayOrder, readMessage } from "./panels/calls.ts";
+import { runOrder } from "./orders.ts";
 import { AT_REST, FAILED, HALTED, largestError, planText } from "./plan_status.ts";
 import type { Store } from "./store.ts";
 import type { PlanStatus } from "./types.ts";
@@ -40,14 +41,12 @@ function LargestError({ status }: { status: PlanStatus }) {
 /** Pause or Resume, and Land: also in the plan's own panel. */
 export function PlanButtons({ store, connection, status }: { store: Store; connection: Connection; status: PlanStatus }) {
   const targets = status.vehicles.map(({ vehicle }) => vehicle);
-  const order = (label: string, method: string): void => void orderWith(store, connection, { label, method, params: {}, targets }, readMessage);
+  const order = (label: string, method: string): void => void runOrder(store, connection, { label, method, params: {}, targets }, readMessage);
   return (
     <>
       {HALTED.has(status.state) ? (
         <HoldButton targets={targets} what={`Resume the plan of ${namesText(targets)}`} act={() => order("Resume plan", "plan.resume")}>Resume</HoldButton>
-      ) : (
-        <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>Pause</button>
-      )}
+      ) : <button type="button" class="primary" onClick={() => order("Pause plan", "plan.pause")}>Pause</button>}
       <button type="button" onClick={() => order("Land the plan's vehicles", "plan.land")}>Land</button>
     </>
   );

@@ -1,9 +1,11 @@
-// The paths that the daemon holds for vehicles: those that are loaded, and the step of a plan that is flown.
+// What the view shows of the daemon's: paths that it holds for vehicles, and the fences that their autopilots hold.
 
 import type { Connection } from "./connection.ts";
+import { refusalText } from "./orders.ts";
 import type { Store } from "./store.ts";
-import type { Vec3 } from "./types.ts";
+import type { Outcome, Vec3 } from "./types.ts";
 import type { FleetView } from "./view/fleet_view.ts";
+import { type Frame, fromGeodetic } from "./view/frame.ts";
 import type { Shape } from "./view/overlays.ts";
 
 const OVERLAY = "planned paths";
@@ -46,8 +48,7 @@ export function beginPlannedPaths(store: Store, connection: Connection, view: Fl
   const turn = (): void => {
     if (asking) return;
     asking = true;
-    ask()
-      .catch(() => { key = null; }) // a lost connection, say: the next turn asks for all of them
+    ask().catch(() => { key = null; }) // a lost connection, say: the next turn asks for all of them
       .finally(() => { asking = false; });
   };
   const timer = setInterval(turn, EVERY_MS);
@@ -71,4 +72,48 @@ export function plannedShapes(paths: readonly PlannedPath[]): Shape[] {
       { kind: "mark", at: last, symbol: "goal", ink: "goal" },
     ];
   });
+}
+
+const FENCES = "vehicle fences";
+/** Circles nearer to each other than this are one on the screen. */
+const SAME_M = 1;
+
+interface FenceOutcome extends Outcome {
+  fence?: { enabled: boolean | null; radius_m: number | null; height_m: number | null } | null;
+}
+
+/** Asks every vehicle and shows the cylinders about their homes. Returns what to say to the person. */
+export async function showFences(store: Store, connection: Connection, view: FleetView): Promise<string> {
+  try {
+    const { outcomes } = await connection.order<{ outcomes: Record<string, FenceOutcome> }>("fence.status", { targets: "all" });
+    const shapes = fenceShapes(outcomes, store, view.frame);
+    view.setOverlay(FENCES, { shapes, fit: true });
+    const off = Object.values(outcomes).filter(({ ok, fence }) => ok && fence?.enabled === false).length;
+    const failed = Object.values(outcomes).filter(({ ok }) => !ok).length;
+    const parts = [`${shapes.length === 1 ? "1 fence" : `${shapes.length} fences`} about home`];
+    if (off > 0) parts.push(`${off} off`);
+    if (failed > 0) parts.push(`${failed} without an answer`);
+    return parts.join(", ");
+  } catch (error) {
+    return refusalText(error);
+  }
+}
+
+export function hideFences(view: FleetView): void {
+  view.setOverlay(FENCES, null);
+}
+
+/** One circle for each different home and radius. */
+export function fenceShapes(outcomes: Readonly<Record<string, FenceOutcome>>, store: Pick<Store, "state">, frame: Frame | null): Shape[] {
+  if (frame === null) return [];
+  const circles: { x: number; y: number; radiusM: number }[] = [];
+  for (const [name, { fence }] of Object.entries(outcomes)) {
+    const home = store.state.vehicles.get(name)?.home;
+    if (fence?.enabled !== true || fence.radius_m === null || fence.radius_m <= 0 || home == null) continue;
+    const [x, y] = fromGeodetic(frame, home.lat_deg, home.lon_deg);
+    const { radius_m: radiusM } = fence;
+    const known = circles.some((c) => Math.hypot(c.x - x, c.y - y) < SAME_M && Math.abs(c.radiusM - radiusM) < SAME_M);
+    if (!known) circles.push({ x, y, radiusM });
+  }
+  return circles.map(({ x, y, radiusM }) => ({ kind: "circle", centre: [x, y, 0], radiusM, ink: "fence", dashed: true }));
 }

@@ -2,8 +2,7 @@
 
 import type { Connection } from "./connection.ts";
 import { fixed } from "./format.ts";
-import type { OrderChain } from "./order_chains.ts";
-import { sendOrder } from "./orders.ts";
+import { type OrderChain, sendOrder } from "./orders.ts";
 import type { Store, Vehicle } from "./store.ts";
 import type { Vec3 } from "./types.ts";
 

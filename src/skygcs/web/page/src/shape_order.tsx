@@ -5,9 +5,8 @@ import { toDecimetre } from "./format.ts";
 import { frameIsKnown, frameKeyOf } from "./framed.ts";
 import { HoldButton } from "./hold_button.tsx";
 import { useFramed, useFrameKnown, useOverlay, useStore, useTick } from "./hooks.ts";
-import { OrderChain } from "./order_chains.ts";
+import { OrderChain, runOrder } from "./orders.ts";
 import { useTargetsText, type ButtonsProps } from "./order_parts.tsx";
-import { readOutcomes, runOrder } from "./orders.ts";
 import { Choice, NumberField, usePolled } from "./panels/parts.tsx";
 import { canPause, engage, isOnTrajectory, isPaused, keptPlace } from "./setpoint_orders.ts";
 import { circlePieces, durationOf, pathPieces, pointsAlong, squarePoints, type Piece } from "./shape_pieces.ts";
@@ -139,7 +138,7 @@ async function flyShape({ store, connection, targets, send }: ButtonsProps, kind
     for (const [name, start] of starts) {
       if (frameKeyOf(store.state) !== frame) return; // its places are others now
       const request = { label: `Load a ${kind}`, method: "trajectory.load", params: { target: name, pieces: made(start, first), name: kind }, targets: [name], chain };
-      const answer = await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request, readOutcomes);
+      const answer = await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request);
       if (answer?.outcomes[name]?.ok !== true) return;
     }
   }
@@ -153,7 +152,7 @@ async function toStarts({ store, connection }: ButtonsProps, found: Loaded["traj
   for (const { vehicle, start_enu_m } of found) {
     if (frameKeyOf(store.state) !== frame) break;
     const request = { label: "Go to the first point", method: "vehicles.goto", params: { targets: [vehicle], enu_m: start_enu_m }, targets: [vehicle], chain };
-    await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request, readOutcomes);
+    await runOrder(store, connection, request);
   }
   chain.end();
 }

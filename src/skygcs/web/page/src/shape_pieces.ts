@@ -79,10 +79,7 @@ function onCircle([s, v, a]: Motion, [cx, cy]: readonly [number, number], radius
   const angle = Math.PI + s / radiusM;
   const [c, d] = [Math.cos(angle), Math.sin(angle)];
   const inward = (v * v) / radiusM;
-  return [
-    [cx + radiusM * c, -v * d, -a * d - inward * c],
-    [cy + radiusM * d, v * c, a * c - inward * d],
-  ];
+  return [[cx + radiusM * c, -v * d, -a * d - inward * c], [cy + radiusM * d, v * c, a * c - inward * d]];
 }
 
 /** The times, and between them as many more that none is further apart than that. */

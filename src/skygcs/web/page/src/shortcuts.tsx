@@ -1,6 +1,7 @@
 // The list of keys, and the keys that belong to no part of the page alone.
 
-import { useEffect, useRef } from "preact/hooks";
+import { useRef } from "preact/hooks";
+import { useWindowEvent } from "./hooks.ts";
 import { isTextField } from "./stop_key.ts";
 import type { Store } from "./store.ts";
 import type { FleetView } from "./view/fleet_view.ts";
@@ -50,15 +51,11 @@ function onPageKey(event: KeyboardEvent, store: Store, view: FleetView): void {
 
 export function Shortcuts({ store, view }: { store: Store; view: FleetView }) {
   const dialog = useRef<HTMLDialogElement>(null);
-  useEffect(() => {
-    const onKey = (event: KeyboardEvent): void => {
-      if (dialog.current?.open === true) return;
-      if (event.key === "?" && !isTextField(event.target)) dialog.current?.showModal();
-      else onPageKey(event, store, view);
-    };
-    addEventListener("keydown", onKey);
-    return () => removeEventListener("keydown", onKey);
-  }, [store, view]);
+  useWindowEvent("keydown", (event) => {
+    if (dialog.current?.open === true) return;
+    if (event.key === "?" && !isTextField(event.target)) dialog.current?.showModal();
+    else onPageKey(event, store, view);
+  });
   return (
     <>
       <button type="button" class="quiet keys" title="Keys (?)" aria-label="Keys" onClick={() => dialog.current?.showModal()}>?</button>

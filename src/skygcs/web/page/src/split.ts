@@ -39,20 +39,13 @@ export function shareAt(pointerPx: number, topPx: number, heightPx: number): num
 /** The share after a key; undefined: the key is not one of the separator's. */
 export function shareAfter(key: string, percent: number): Share | undefined {
   switch (key) {
-    case "ArrowUp":
-      return clampedShare(percent + STEP);
-    case "ArrowDown":
-      return clampedShare(percent - STEP);
-    case "PageUp":
-      return clampedShare(percent + LARGE_STEP);
-    case "PageDown":
-      return clampedShare(percent - LARGE_STEP);
-    case "Home":
-      return LEAST_SHARE;
-    case "End":
-      return MOST_SHARE;
-    case "Enter":
-      return null;
+    case "ArrowUp": return clampedShare(percent + STEP);
+    case "ArrowDown": return clampedShare(percent - STEP);
+    case "PageUp": return clampedShare(percent + LARGE_STEP);
+    case "PageDown": return clampedShare(percent - LARGE_STEP);
+    case "Home": return LEAST_SHARE;
+    case "End": return MOST_SHARE;
+    case "Enter": return null;
   }
   return undefined;
 }

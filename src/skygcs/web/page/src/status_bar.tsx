@@ -1,12 +1,14 @@
-// What the top bar says of fleet and connection, and the banners of what is wrong.
+// What the top bar says of fleet and connection, a pill for each vehicle in trouble, and the banners of what is wrong.
 
 import { useState } from "preact/hooks";
+import { fleetFigures } from "./columns.ts";
 import type { Connection } from "./connection.ts";
 import { ageText } from "./format.ts";
 import { useSlowState, useStore, useTick } from "./hooks.ts";
-import { fleetFigures } from "./site_rows.ts";
 import { serverNowS, type Store } from "./store.ts";
 import { setTheme, theme, type Theme } from "./theme.ts";
+import { type Trouble, troublesOf } from "./trouble.ts";
+import type { FleetView } from "./view/fleet_view.ts";
 
 export function FleetSummary({ store }: { store: Store }) {
   const { state, nowMs } = useSlowState(store, 500);
@@ -77,4 +79,42 @@ export function Banner({ store, connection }: { store: Store; connection: Connec
 
 function sentence(text: string): string {
   return text.slice(0, 1).toUpperCase() + text.slice(1).replace(/\.$/, "");
+}
+
+/** Pills that there is room for; CSS shows the first one alone where there is room for no more. */
+const MOST_SHOWN = 3;
+
+const MARKS = { danger: "!", warning: "?" } as const;
+
+export function TroubleStrip({ store, view }: { store: Store; view: FleetView }) {
+  const { state, nowMs } = useSlowState(store, 500);
+  if (state.hello?.replay === true) return null;
+  const found = troublesOf([...state.vehicles.values()], serverNowS(state, nowMs));
+  if (found.length === 0) return null;
+  const show = (names: readonly string[]): void => {
+    store.dispatch({ type: "select", names, how: "only" });
+    location.hash = "fleet";
+    view.fit("selected");
+  };
+  const all = found.map(({ name }) => name);
+  const more = (shown: number, where: string) => found.length > shown && (
+    <button type="button" class={`pill more ${where}`} title={`Select all ${found.length} vehicles in trouble`} onClick={() => show(all)}>
+      +{found.length - shown} more
+    </button>
+  );
+  return (
+    <section class="troubles" aria-label="Vehicles in trouble">
+      {found.slice(0, MOST_SHOWN).map((trouble) => <Pill key={trouble.name} trouble={trouble} show={show} />)}
+      {more(MOST_SHOWN, "wide")}
+      {more(1, "narrow")}
+    </section>
+  );
+}
+
+function Pill({ trouble: { name, severity, text }, show }: { trouble: Trouble; show: (names: readonly string[]) => void }) {
+  return (
+    <button type="button" class="pill" data-severity={severity} title={`${name}: ${text}`} onClick={() => show([name])}>
+      <span class="mark" aria-hidden="true">{MARKS[severity]}</span> <b>{name}</b> {text}
+    </button>
+  );
 }

@@ -14,7 +14,13 @@ export function isTextField(target: EventTarget | null): boolean {
   return target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement || target.isContentEditable;
 }
 
+/** Whether a person presses this letter alone, outside of text fields, for a button that is on the screen. */
+export function isLetterFor(event: KeyboardEvent, letter: string | undefined, button: Element | null): boolean {
+  if (event.key.toLowerCase() !== letter || event.repeat || !event.isTrusted || isTextField(event.target)) return false;
+  return !(event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) && isSeen(button);
+}
+
 /** Whether a person can see it: letters are orders only while their buttons, with their targets, are on the screen. */
-export function isSeen(element: Element | null): boolean {
+function isSeen(element: Element | null): boolean {
   return element !== null && element.getClientRects().length > 0 && document.querySelector("dialog[open]") === null;
 }

@@ -1,6 +1,7 @@
 // What the page knows: one immutable state, changed by pure reducers only. Ages are worked out when they are shown.
 
 import type { ClockSample, Phase } from "./connection.ts";
+import { toggled } from "./format.ts";
 import { frameKey } from "./framed.ts";
 import { briefVehicle, siteOf, vehicleOf } from "./levels.ts";
 import { stateOf } from "./outcomes.ts";
@@ -123,22 +124,14 @@ export type Action =
   | { type: "alarms"; alarms: readonly Alarm[] }
   | { type: "goals"; goals: ReadonlyMap<string, Vec3> }
   | { type: "orderBegun"; order: OrderRun }
-  | {
-      type: "orderEnded";
-      id: number;
-      atMs: number;
-      state: OrderState;
-      outcomes: Readonly<Record<string, Outcome>>;
-      error: string | null;
-    }
+  | { type: "orderEnded"; id: number; atMs: number; state: OrderState; outcomes: Readonly<Record<string, Outcome>>; error: string | null }
   | { type: "orderReported"; id: number; vehicles: readonly string[]; outcomes: Readonly<Record<string, Outcome>> }
   | { type: "outcomesFound"; id: number; atMs: number; outcomes: Readonly<Record<string, Outcome>> }
   | { type: "orderDismissed"; id: number };
 
 export function reduce(state: State, action: Action): State {
   switch (action.type) {
-    case "phase":
-      return { ...state, phase: action.phase };
+    case "phase": return { ...state, phase: action.phase };
     case "hello":
       return {
         ...state,
@@ -164,43 +157,26 @@ export function reduce(state: State, action: Action): State {
         originGeneration: action.generation,
         goals: frameKey(state.origin) === frameKey(action.origin) ? state.goals : new Map(),
       };
-    case "originChanged":
-      return { ...state, originGeneration: null };
-    case "plan":
-      return { ...state, plan: action.plan };
-    case "batch":
-      return applyBatch(state, action.batch, action.atMs);
-    case "select":
-      return select(state, action.names, action.how);
-    case "search":
-      return { ...state, search: action.search };
-    case "unfold":
-      return { ...state, unfolded: toggled(state.unfolded, action.site) };
-    case "event":
-      return addEvents(state, [action.event]);
-    case "recentEvents":
-      return addEvents({ ...state, events: [] }, [...action.events, ...cameMeanwhile(state, action)]);
-    case "alarms":
-      return { ...state, alarms: action.alarms };
-    case "goals":
-      return { ...state, goals: new Map([...state.goals, ...action.goals]) };
+    case "originChanged": return { ...state, originGeneration: null };
+    case "plan": return { ...state, plan: action.plan };
+    case "batch": return applyBatch(state, action.batch, action.atMs);
+    case "select": return select(state, action.names, action.how);
+    case "search": return { ...state, search: action.search };
+    case "unfold": return { ...state, unfolded: toggled(state.unfolded, action.site) };
+    case "event": return addEvents(state, [action.event]);
+    case "recentEvents": return addEvents({ ...state, events: [] }, [...action.events, ...cameMeanwhile(state, action)]);
+    case "alarms": return { ...state, alarms: action.alarms };
+    case "goals": return { ...state, goals: new Map([...state.goals, ...action.goals]) };
     case "orderBegun":
       return {
         ...state,
         orders: [action.order, ...state.orders].slice(0, MAX_ORDERS),
         goals: without(state.goals, (name) => action.order.targets.includes(name)),
       };
-    case "orderEnded":
-      return { ...state, orders: state.orders.map((order) => (order.id === action.id ? endOrder(order, action) : order)) };
-    case "orderReported":
-      return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withReport(order, action) : order)) };
-    case "outcomesFound":
-      return { ...state, orders: state.orders.map((order) => (order.id === action.id ? withOutcomes(order, action) : order)) };
-    case "orderDismissed":
-      return {
-        ...state,
-        orders: state.orders.map((order) => (order.id === action.id ? { ...order, dismissed: true } : order)),
-      };
+    case "orderEnded": return withOrder(state, action.id, (order) => endOrder(order, action));
+    case "orderReported": return withOrder(state, action.id, (order) => withReport(order, action));
+    case "outcomesFound": return withOrder(state, action.id, (order) => withOutcomes(order, action));
+    case "orderDismissed": return withOrder(state, action.id, (order) => ({ ...order, dismissed: true }));
   }
 }
 
@@ -244,12 +220,6 @@ function namesBySysid(vehicles: ReadonlyMap<string, Vehicle>): readonly string[]
     .map((vehicle) => vehicle.name);
 }
 
-function toggled(set: ReadonlySet<string>, one: string): ReadonlySet<string> {
-  const changed = new Set(set);
-  if (!changed.delete(one)) changed.add(one);
-  return changed;
-}
-
 function keepKnown(selection: ReadonlySet<string>, vehicles: ReadonlyMap<string, Vehicle>): ReadonlySet<string> {
   const kept = [...selection].filter((name) => vehicles.has(name));
   return kept.length === selection.size ? selection : new Set(kept);
@@ -278,11 +248,11 @@ function cameMeanwhile(state: State, { events, askedAfter }: Extract<Action, { t
 
 function addEvents(state: State, events: readonly FleetEvent[]): State {
   const numbered = events.map((event, index) => ({ ...event, id: state.eventsSeen + index + 1 }));
-  return {
-    ...state,
-    events: [...state.events, ...numbered].slice(-MAX_EVENTS),
-    eventsSeen: state.eventsSeen + events.length,
-  };
+  return { ...state, events: [...state.events, ...numbered].slice(-MAX_EVENTS), eventsSeen: state.eventsSeen + events.length };
+}
+
+function withOrder(state: State, id: number, change: (order: OrderRun) => OrderRun): State {
+  return { ...state, orders: state.orders.map((order) => (order.id === id ? change(order) : order)) };
 }
 
 function endOrder(order: OrderRun, end: Extract<Action, { type: "orderEnded" }>): OrderRun {

@@ -2,12 +2,12 @@
 
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { Cell } from "./cells.ts";
-import { COLUMNS, matches, rowsOf, sorted, type Column, type Grouping, type Row, type Sorting } from "./columns.ts";
+import { type Column, COLUMNS, type Grouping, matches, type Row, rowsOf, type SiteRow, siteRows, sorted, type Sorting } from "./columns.ts";
 import type { Connection } from "./connection.ts";
 import { EmptyFleet } from "./empty_fleet.tsx";
 import { ageText } from "./format.ts";
-import { useSlowState, useStore } from "./hooks.ts";
-import { siteRows, type SiteRow } from "./site_rows.ts";
+import { useSlowState, useStore, useWindowEvent } from "./hooks.ts";
+import { Check } from "./panels/parts.tsx";
 import { isTextField } from "./stop_key.ts";
 import { isHeard, serverNowS, type Store, type Vehicle } from "./store.ts";
 import { isChosen, keepChoices, recalledChoices, type TableChoices } from "./table_choices.ts";
@@ -38,7 +38,11 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
   const narrow = useNarrow();
   const rowPx = narrow ? TOUCH_ROW_PX : ROW_PX;
   const window = useWindow(box, rowPx);
-  useFilterKey(field);
+  useWindowEvent("keydown", (event) => {
+    if (event.key !== "/" || isTextField(event.target)) return;
+    event.preventDefault();
+    field.current?.focus();
+  });
 
   const now_s = serverNowS(state, nowMs);
   const large = state.counts !== null;
@@ -95,25 +99,19 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
           <option value="autopilot">By autopilot</option>
           <option value="mode">By mode</option>
         </select>
-        <label class="check problemsfirst" title="Vehicles in trouble stand above all others">
-          <input type="checkbox" checked={choices.problemsFirst} onChange={(event) => choose({ problemsFirst: event.currentTarget.checked })} /> Problems first
-        </label>
+        <Check class="check problemsfirst" title="Vehicles in trouble stand above all others" checked={choices.problemsFirst} onChecked={(problemsFirst) => choose({ problemsFirst })}>Problems first</Check>
         {!narrow && <ColumnMenu offered={offered} choices={choices} choose={choose} />}
         <span class="muted count">{state.selection.size > 0 ? `${state.selection.size} of ${state.names.length} selected` : bySite && names.length === 0 ? `${state.names.length} vehicles` : `${names.length} shown`}</span>
       </div>
       <div ref={box} class="tablebox" tabIndex={0} onKeyDown={onKey} role="region" aria-label="Vehicles">
         <table hidden={empty} aria-rowcount={rows.length + 1} aria-multiselectable="true" role="grid">
-          <thead>
-            <tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr>
-          </thead>
+          <thead><tr>{columns.map((column) => <Heading key={column.id} column={column} sorting={sorting} sort={setSorting} />)}</tr></thead>
           <tbody>
             <Spacer rows={window.first} rowPx={rowPx} />
             {shown.map((row, i) =>
               row.kind === "site" ? (
                 <SiteHeading key={`/${row.counts.site}`} row={row} width={columns.length} own={state.daemon?.site ?? null} store={store} />
-              ) : row.kind === "group" ? (
-                <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} />
-              ) : (
+              ) : row.kind === "group" ? <GroupRow key={`:${row.title}`} row={row} width={columns.length} store={store} /> : (
                 <VehicleRow key={row.vehicle.name} vehicle={row.vehicle} columns={columns} now_s={now_s} around={state} index={window.first + i}
                   selected={state.selection.has(row.vehicle.name)} cursor={cursor === row.vehicle.name} narrow={narrow} pick={pick} />
               ),
@@ -133,27 +131,15 @@ export function FleetTable({ store, connection }: { store: Store; connection: Co
 function ColumnMenu({ offered, choices, choose }: { offered: readonly Column[]; choices: TableChoices; choose: (change: Partial<TableChoices>) => void }) {
   const menu = useRef<HTMLDetailsElement>(null);
   const [open, setOpen] = useState(false);
-  useEffect(() => {
-    const close = (event: Event): void => {
-      const outside = event instanceof KeyboardEvent ? event.key === "Escape" : event.target instanceof Node && menu.current?.contains(event.target) === false;
-      if (outside) menu.current?.removeAttribute("open");
-    };
-    addEventListener("pointerdown", close);
-    addEventListener("keydown", close);
-    return () => {
-      removeEventListener("pointerdown", close);
-      removeEventListener("keydown", close);
-    };
-  }, []);
+  const close = (outside: boolean): void => { if (outside) menu.current?.removeAttribute("open"); };
+  useWindowEvent("pointerdown", ({ target }) => close(target instanceof Node && menu.current?.contains(target) === false));
+  useWindowEvent("keydown", ({ key }) => close(key === "Escape"));
   return (
     <details ref={menu} class="columnmenu" onToggle={(event) => setOpen(event.currentTarget.open)}>
       <summary>Columns</summary>
       {open && <div class="choices" role="group" aria-label="Columns of the table">
         {offered.filter(({ id }) => id !== "name").map((column) => (
-          <label key={column.id}>
-            <input type="checkbox" checked={isChosen(choices, column)}
-              onChange={(event) => choose({ columns: { ...choices.columns, [column.id]: event.currentTarget.checked } })} /> {column.title}
-          </label>
+          <Check key={column.id} class="" checked={isChosen(choices, column)} onChecked={(on) => choose({ columns: { ...choices.columns, [column.id]: on } })}>{column.title}</Check>
         ))}
         <button type="button" onClick={() => choose({ columns: {} })}>As at first</button>
       </div>}
@@ -285,16 +271,4 @@ function useNarrow(): boolean {
     return () => media.removeEventListener("change", onChange);
   }, []);
   return narrow;
-}
-
-function useFilterKey(field: { current: HTMLInputElement | null }): void {
-  useEffect(() => {
-    const onKey = (event: KeyboardEvent): void => {
-      if (event.key !== "/" || isTextField(event.target)) return;
-      event.preventDefault();
-      field.current?.focus();
-    };
-    addEventListener("keydown", onKey);
-    return () => removeEventListener("keydown", onKey);
-  }, [field]);
 }

@@ -11,9 +11,6 @@ export interface Gps extends Aged {
   fix: string | null;
   fix_type: number | null;
   satellites: number | null;
-  hdop: number | null;
-  lat_deg: number | null;
-  lon_deg: number | null;
 }
 
 export interface Position extends Aged {
@@ -35,9 +32,7 @@ export interface Position extends Aged {
 
 export interface Battery extends Aged {
   volts: number | null;
-  amps: number | null;
   percent: number | null;
-  remaining_s: number | null;
 }
 
 export interface Home extends Aged {
@@ -62,7 +57,6 @@ export interface Separation {
   distance_m?: number;
   closest_m?: number;
   closest_in_s?: number;
-  enters_in_s?: number;
   margin_m?: number;
 }
 
@@ -87,7 +81,6 @@ export interface Companion {
   name: string | null;
   /** The daemon's connection to it; null: it has none. */
   link: "connecting" | "up" | "down" | null;
-  since_s: number | null;
   error: string | null;
   version: string | null;
   /** Of its newest MAVLink message; null: none was heard. */
@@ -107,7 +100,6 @@ export interface VehicleState {
   duplicate_sysid: boolean;
   replayed: boolean;
   last_heartbeat_age_s: number | null;
-  uptime_s: number | null;
   armed: boolean | null;
   mode: string | null;
   system_status: string;
@@ -199,7 +191,6 @@ export interface Alarm {
   consequences: Readonly<Record<string, number>>;
   /** Null: nobody has seen it. */
   acknowledged_by: string | null;
-  acknowledged_unix_s: number | null;
 }
 
 export interface DaemonLink {
@@ -238,7 +229,6 @@ export interface Hello {
   /** Why the tiles that the fleet file names are not shown; empty: nothing is wrong. */
   tiles_problem?: string;
   methods: { read: readonly string[]; order: readonly string[] };
-  operator_timeout_s: number | null;
 }
 
 /** Map tiles on the ground station: `url`/zoom/x/y. */

@@ -10,11 +10,7 @@ import { troubleOf, troubleRank } from "./trouble.ts";
 export type Surroundings = Pick<State, "plan" | "events">;
 
 /** What a vehicle does by itself in this mode, in a word that follows a comma. */
-const DOES: readonly (readonly [RegExp, string])[] = [
-  [/LAND/, "landing"],
-  [/RTL/, "returning"],
-  [/LOITER|HOLD|BRAKE/, "holding"],
-];
+const DOES: readonly (readonly [RegExp, string])[] = [[/LAND/, "landing"], [/RTL/, "returning"], [/LOITER|HOLD|BRAKE/, "holding"]];
 
 /** Missions are flown in these modes alone. */
 const MISSION_MODES = new Set(["AUTO.MISSION", "AUTO"]);

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { areThere, fixesText, sourceText, surveyText, type Corrections } from "../src/panels/corrections_text.ts";
+import { areThere, fixesText, sourceText, surveyText, type Corrections } from "../src/panels/radio_figures.ts";
 
 const NONE: Corrections = { source: null, age_s: null, bytes_per_s: 0, messages: 0, vehicles: [], rtk_float: 0, rtk_fixed: 0, own_source: null };
 const CASTER = { kind: "ntrip", name: "caster.example/BASE", state: "streaming", text: "", bytes_per_s: 300, age_s: 0.4 };

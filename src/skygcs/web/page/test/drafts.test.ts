@@ -1,8 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { FRAME_UNKNOWN } from "../src/framed.ts";
-import { CARRIED_OVER, NEW_DRAFT, NEW_SETTINGS, NO_ORIGIN, NO_PLACE, shownDraft, withDrawing, withSettings } from "../src/panels/drafts.ts";
-import { NOTHING_DRAWN, type Drawing } from "../src/panels/drawing.ts";
+import { CARRIED_OVER, type Drawing, NEW_DRAFT, NEW_SETTINGS, NO_ORIGIN, NO_PLACE, NOTHING_DRAWN, shownDraft, withDrawing, withSettings } from "../src/panels/drafts.ts";
 import { EMPTY } from "../src/store.ts";
 import type { Origin } from "../src/types.ts";
 

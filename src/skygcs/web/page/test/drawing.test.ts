@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { drawnShapes, goalsTool, MAX_DRAWN_POINTS, NOTHING_DRAWN, pointsTool, type Drawing } from "../src/panels/drawing.ts";
+import { drawnShapes, goalsTool, MAX_DRAWN_POINTS, NOTHING_DRAWN, pointsTool, type Drawing } from "../src/panels/drafts.ts";
 import type { Vec3 } from "../src/types.ts";
 import type { PointerAt } from "../src/view/overlays.ts";
 

@@ -1,7 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { grouped, groupText, spokenText } from "../src/panels/event_groups.ts";
-import type { JudgedEvent, Severity } from "../src/panels/event_severity.ts";
+import { grouped, groupText, type JudgedEvent, type Severity, spokenText } from "../src/panels/event_severity.ts";
 
 let id = 0;
 

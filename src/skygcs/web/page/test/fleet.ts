@@ -15,7 +15,6 @@ export function vehicle(name: string, sysid: number, more: Partial<VehicleState>
     duplicate_sysid: false,
     replayed: false,
     last_heartbeat_age_s: 0.2,
-    uptime_s: 10,
     armed: true,
     mode: "AUTO.LOITER",
     system_status: "active",

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { fenceShapes } from "../src/fences.ts";
+import { fenceShapes } from "../src/planned_paths.ts";
 import { EMPTY, reduce, type OrderRun, type State } from "../src/store.ts";
 import { frameAt } from "../src/view/frame.ts";
 import { batch, position, vehicle } from "./fleet.ts";

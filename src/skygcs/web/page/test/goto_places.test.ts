@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { currentPlace, targetPlace } from "../src/goto_places.ts";
+import { currentPlace, targetPlace } from "../src/goto_draft.ts";
 import { vehicleOf } from "../src/levels.ts";
 import { frameAt } from "../src/view/frame.ts";
 import { position, vehicle } from "./fleet.ts";

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { HistoryRing, RateMeter } from "../src/panels/history_ring.ts";
+import { HistoryRing, RateMeter } from "../src/panels/histories.ts";
 
 test("a history is bounded and keeps the newest rows", () => {
   const ring = new HistoryRing(2, 100);

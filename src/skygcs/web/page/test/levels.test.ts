@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { namesText } from "../src/format.ts";
 import { fullName, siteOf, viewParams } from "../src/levels.ts";
-import { fleetFigures, siteRows } from "../src/site_rows.ts";
+import { fleetFigures, siteRows } from "../src/columns.ts";
 import { EMPTY, isHeard, reduce, type State } from "../src/store.ts";
 import type { Brief } from "../src/types.ts";
 import { batch, vehicle } from "./fleet.ts";

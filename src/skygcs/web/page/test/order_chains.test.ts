@@ -1,8 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import type { OrderChain as Chain } from "../src/order_chains.ts";
-import { OrderChain } from "../src/order_chains.ts";
-import { sendOrder } from "../src/orders.ts";
+import { OrderChain, type OrderChain as Chain, sendOrder } from "../src/orders.ts";
 import { canPause } from "../src/setpoint_orders.ts";
 import { vehicle } from "./fleet.ts";
 

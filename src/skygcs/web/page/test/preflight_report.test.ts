@@ -2,11 +2,11 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { matrixOf, type PreflightStatus, type Verdict } from "../src/panels/preflight_report.ts";
 
-function status(verdicts: Readonly<Record<string, Verdict>> | null): PreflightStatus {
+function status(verdicts: Readonly<Record<string, Verdict>> | null, passed = "passed"): PreflightStatus {
   const findings = Object.entries(verdicts ?? {}).map(([check, verdict]) => ({ check, verdict, severity: "fault", text: "", todo: "", fixes: [] }));
   const ok = findings.every(({ verdict }) => verdict === "pass");
   const report = verdicts === null ? null : { ok, summary: "", findings, fixes: [], fixed: {}, unfixed: "" };
-  return { state: report === null ? "never" : "passed", required: false, age_s: 1, valid_s: 600, refusal: null, report };
+  return { state: report === null ? "never" : ok ? passed : "failed", required: false, age_s: 1, refusal: null, report };
 }
 
 test("what failed stands first, by check and by vehicle; what could not be checked follows", () => {
@@ -21,5 +21,10 @@ test("what failed stands first, by check and by vehicle; what could not be check
   assert.deepEqual(matrix.rows.map(({ check }) => check), ["gps", "battery", "clock", "home"]);
   assert.deepEqual([matrix.never, matrix.skipped, matrix.ready], [["d"], ["poses"], 1]);
   assert.equal(matrix.rows[3]?.findings.get("c"), undefined, "a check that was not made of it has no cell");
-  assert.deepEqual(matrixOf({}), { vehicles: [], rows: [], skipped: [], never: [], ready: 0 });
+  assert.deepEqual(matrixOf({}), { vehicles: [], rows: [], skipped: [], never: [], ready: 0, expired: [] });
+});
+
+test("a pass that is too old to arm with is not ready", () => {
+  const matrix = matrixOf({ a: status({ gps: "pass" }, "expired"), b: status({ gps: "pass" }), c: status({ gps: "fail" }) });
+  assert.deepEqual([matrix.ready, matrix.expired], [1, ["a"]]);
 });

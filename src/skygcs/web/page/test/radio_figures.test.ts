@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { ClassRates, countText, reportRow } from "../src/panels/radio_figures.ts";
+import { countText } from "../src/format.ts";
+import { ClassRates, reportRow } from "../src/panels/radio_figures.ts";
 
 test("rates of classes come from their counters", () => {
   const rates = new ClassRates();

@@ -99,7 +99,7 @@ test("problems stand first, the worst at the top, however the rest is sorted", (
 });
 
 test("a companion: its connection, else whether it is heard; a column only where one is", () => {
-  const with_ = (more: object) => heard("a", 1, { companion: { name: "pi", link: null, since_s: null, error: null, version: "1.0", age_s: null, ...more } });
+  const with_ = (more: object) => heard("a", 1, { companion: { name: "pi", link: null, error: null, version: "1.0", age_s: null, ...more } });
   assert.deepEqual(cell("companion", with_({ link: "up" })), { text: "up", tone: "good", title: "pi, 1.0" });
   assert.deepEqual(cell("companion", with_({ link: "down", error: "no route" })), { text: "down", tone: "danger", title: "pi, 1.0, no route" });
   assert.equal(cell("companion", with_({ age_s: 0.4 })).text, "heard");
@@ -125,7 +125,7 @@ test("a group that is old is grey with its age although the vehicle is heard", (
 
 test("failsafe, low battery, conflicts and deaf vehicles stand out", () => {
   assert.equal(cell("status", heard("a", 1, { failsafe: true })).tone, "danger");
-  const battery = (percent: number) => cell("battery", heard("a", 1, { battery: { volts: 14, amps: null, percent, remaining_s: null, age_s: 0 } }));
+  const battery = (percent: number) => cell("battery", heard("a", 1, { battery: { volts: 14, percent, age_s: 0 } }));
   assert.deepEqual([battery(80).tone, battery(20).tone, battery(8).tone], ["", "warning", "danger"]);
   assert.equal(cell("status", heard("a", 1, { separation: { level: "action", with: "b" } })).text, "near b");
   assert.equal(cell("status", heard("a", 1, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 } })).text, "does not hear us");

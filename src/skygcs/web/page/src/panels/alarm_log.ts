@@ -1,11 +1,11 @@
 // The events with their severity, what a person has acknowledged, and when the alarm sounds.
 
+import { Changes } from "../hooks.ts";
 import type { Action, State, Store } from "../store.ts";
 import { MAX_EVENTS } from "../store.ts";
 import { recall, remember } from "../theme.ts";
 import type { FleetEvent } from "../types.ts";
-import { spokenText } from "./event_groups.ts";
-import { keyOf, severityOf, type JudgedEvent } from "./event_severity.ts";
+import { type JudgedEvent, keyOf, severityOf, spokenText } from "./event_severity.ts";
 
 /** What happened longer before the page was opened is history: shown, and not open. */
 export const FRESH_S = 300;
@@ -17,7 +17,7 @@ const SPOKEN_AFTER_MS = 700;
 const MUTED = "skygcs.muted";
 const SPEECH = "skygcs.speech";
 
-export class AlarmLog {
+export class AlarmLog extends Changes {
   events: readonly JudgedEvent[] = [];
   acknowledged: ReadonlySet<string> = new Set();
   /** Both are off until a person wants them: a page on a projector or in a meeting must not begin to sound. */
@@ -27,14 +27,8 @@ export class AlarmLog {
   private unsaid: JudgedEvent[] = [];
   private first = true;
   private soundsUntilMs = -Infinity;
-  private readonly listeners = new Set<() => void>();
 
-  constructor(private readonly nowMs: () => number = () => performance.now()) {}
-
-  onChange(listener: () => void): () => void {
-    this.listeners.add(listener);
-    return () => this.listeners.delete(listener);
-  }
+  constructor(private readonly nowMs: () => number = () => performance.now()) { super(); }
 
   /** Alarms that nobody has acknowledged. */
   get open(): number {
@@ -104,10 +98,6 @@ export class AlarmLog {
     const listed = new Set(this.events.map(keyOf));
     this.acknowledged = new Set([...keys].filter((key) => listed.has(key)));
     this.changed();
-  }
-
-  private changed(): void {
-    for (const listener of this.listeners) listener();
   }
 }
 

@@ -1,9 +1,8 @@
 // How panels ask and order: a read-only method is a call, any other carries a deadline.
 
 import { ORDER_DEADLINE_S, type Connection } from "../connection.ts";
-import { runOrder } from "../orders.ts";
+import type { Reader } from "../orders.ts";
 import type { State, Store } from "../store.ts";
-import type { Outcome } from "../types.ts";
 
 /** Longer than the web process gives the check of a file (CHECK_TIMEOUT_S), which says why it was ended. */
 const FILE_CHECK_MS = 150_000;
@@ -25,24 +24,19 @@ export function ask<T>(store: Store, connection: Connection, method: string, par
     : connection.order<T>(method, params, ORDER_DEADLINE_S);
 }
 
-/** What an answer says of each vehicle, or of the fleet as a whole. */
-export type Reader<T> = (answer: T) => { ok: boolean; outcomes: Readonly<Record<string, Outcome>>; text: string | null };
-
-/** An order whose parameters are not `targets`, shown in the list of orders as every order. Never rejects. */
-export function orderWith<T>(
-  store: Store,
-  connection: Connection,
-  request: { label: string; method: string; params: object; targets: readonly string[] },
-  read: Reader<T>,
-): Promise<T | null> {
-  return runOrder<T>(store, connection, request, (answer) => {
-    const { ok, outcomes, text } = read(answer);
-    return { state: ok ? "done" : "failed", outcomes, text };
-  });
+/** The answer of plan.pause and the like. */
+export function readMessage({ ok, message, reasons }: { ok: boolean; message: string; reasons: readonly string[] }): ReturnType<Reader<unknown>> {
+  return said(ok, [message, ...reasons].join("; "));
 }
 
-/** The answer of plan.pause and the like. */
-export function readMessage(answer: { ok: boolean; message: string; reasons?: readonly string[] }): ReturnType<Reader<unknown>> {
-  const text = [answer.message, ...(answer.reasons ?? [])].join("; ");
-  return { ok: answer.ok, outcomes: {}, text: answer.ok ? null : text };
+/** Of an order that is for the fleet as a whole; `why` it was not carried out. */
+export function said(ok: boolean, why: string): ReturnType<Reader<unknown>> {
+  return { state: ok ? "done" : "failed", outcomes: {}, text: ok ? null : why };
+}
+
+/** Of parameters that were set, each an outcome; `trouble`: why some could not be. */
+export function readParams(set: Readonly<Record<string, { ok: boolean; message: string }>>, trouble = ""): ReturnType<Reader<unknown>> {
+  const outcomes = Object.fromEntries(Object.entries(set).map(([param, { ok, message }]) => [param, { ok, result: ok ? "accepted" : "failed", message }]));
+  const ok = trouble === "" && Object.values(outcomes).every((one) => one.ok);
+  return { state: ok ? "done" : "failed", outcomes, text: trouble === "" ? null : trouble };
 }

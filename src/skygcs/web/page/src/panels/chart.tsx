@@ -3,7 +3,7 @@
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { onTheme } from "../theme.ts";
-import type { Columns } from "./history_ring.ts";
+import type { Columns } from "./histories.ts";
 import { bounds } from "./chart_bounds.ts";
 
 export interface Curve {
@@ -50,20 +50,12 @@ export function Chart({ title, curves, columns, version, heightPx = 130, range }
       plot.current = null;
     };
   }, [shape]);
-  useEffect(() => {
-    plot.current?.setData(read.current());
-  }, [version]);
+  useEffect(() => { plot.current?.setData(read.current()); }, [version]);
   return (
     <figure class="chart">
       <figcaption>
         {title}
-        <span class="legend">
-          {curves.map((curve) => (
-            <span key={curve.label}>
-              <i class={`key key${curve.colour}`} /> {curve.label}
-            </span>
-          ))}
-        </span>
+        <span class="legend">{curves.map((curve) => <span key={curve.label}><i class={`key key${curve.colour}`} /> {curve.label}</span>)}</span>
       </figcaption>
       <div ref={place} class="plot" role="img" aria-label={title} />
     </figure>
@@ -83,10 +75,7 @@ function options(place: HTMLElement, curves: readonly Curve[], height: number, r
     legend: { show: false },
     cursor: { y: false, drag: { x: false, y: false } },
     scales: { x: { time: true }, y: { range: (_, least, most) => bounds(least, most, range) } },
-    axes: [
-      { ...axis, size: 22, space: 70 },
-      { ...axis, size: 46, space: 24 },
-    ],
+    axes: [{ ...axis, size: 22, space: 70 }, { ...axis, size: 46, space: 24 }],
     series: [{}, ...curves.map((curve) => ({
       label: curve.label,
       stroke: colour(`--vehicle-${curve.colour}`, "#48f"),

@@ -1,5 +1,6 @@
-// How serious an event is, which events are shown, and which need a person.
+// How serious an event is, which events are shown and which need a person; and events that say one thing as one row.
 
+import { namesText } from "../format.ts";
 import type { NumberedEvent } from "../store.ts";
 import type { FleetEvent } from "../types.ts";
 
@@ -27,32 +28,20 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
   const grounded = armed === false ? "warning" : "alarm";
   switch (event.kind) {
     case "fault":
-    case "takeoff":
-      return "alarm";
-    case "statustext":
-      return textSeverity(event.text, data["level"], grounded);
-    case "failsafe":
-      return data["failsafe"] === false ? "info" : "alarm";
-    case "vehicle_lost":
-      return data["forgotten"] === true ? "warning" : grounded;
+    case "takeoff": return "alarm";
+    case "statustext": return textSeverity(event.text, data["level"], grounded);
+    case "failsafe": return data["failsafe"] === false ? "info" : "alarm";
+    case "vehicle_lost": return data["forgotten"] === true ? "warning" : grounded;
     case "unattended":
     case "uplink_lost":
-    case "ground_lost":
-      return grounded;
-    case "companion":
-      return data["change"] === "keys_kept" ? "alarm" : "info";
-    case "fence":
-      return data["outside"] === true ? grounded : "info";
-    case "duplicate":
-      return data["change"] === "duplicate_over" ? "info" : "alarm";
-    case "separation":
-      return separationSeverity(data);
-    case "system_status":
-      return isBad(data["system_status"]) || isBad(data["status"]) ? "alarm" : "info";
-    case "plan":
-      return planSeverity(data["state"]);
-    case "control":
-      return data["state"] === "held" ? "alarm" : "info";
+    case "ground_lost": return grounded;
+    case "companion": return data["change"] === "keys_kept" ? "alarm" : "info";
+    case "fence": return data["outside"] === true ? grounded : "info";
+    case "duplicate": return data["change"] === "duplicate_over" ? "info" : "alarm";
+    case "separation": return separationSeverity(data);
+    case "system_status": return isBad(data["system_status"]) || isBad(data["status"]) ? "alarm" : "info";
+    case "plan": return planSeverity(data["state"]);
+    case "control": return data["state"] === "held" ? "alarm" : "info";
     case "command":
       if (data["order"] === "stop" && data["ok"] === false && data["result"] !== "cancelled") return "alarm";
       return isFailed(data) ? "warning" : "info";
@@ -63,8 +52,7 @@ export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
     case "warning":
       // the operator watchdog: nobody touched anything, and vehicles are brought down
       return data["action"] !== undefined && data["vehicles"] !== undefined ? "alarm" : "warning";
-    default:
-      return WARNINGS.has(event.kind) ? "warning" : "info";
+    default: return WARNINGS.has(event.kind) ? "warning" : "info";
   }
 }
 
@@ -78,12 +66,9 @@ function separationSeverity(data: FleetEvent["data"]): Severity {
   if (data["watched"] === false) return "warning";
   switch (data["level"]) {
     case "action":
-    case "warning":
-      return "alarm";
-    case "notice":
-      return "warning";
-    default:
-      return "info";
+    case "warning": return "alarm";
+    case "notice": return "warning";
+    default: return "info";
   }
 }
 
@@ -119,14 +104,9 @@ export interface JudgedEvent extends NumberedEvent {
 }
 
 /** The events that pass, newest first. */
-export function shownEvents(
-  events: readonly JudgedEvent[],
-  filter: EventFilter,
-  acknowledged: ReadonlySet<string>,
-): JudgedEvent[] {
+export function shownEvents(events: readonly JudgedEvent[], filter: EventFilter, acknowledged: ReadonlySet<string>): JudgedEvent[] {
   const words = filter.words.toLowerCase().split(/\s+/).filter(Boolean);
-  return events
-    .filter((event) => {
+  return events.filter((event) => {
       if (!filter.severities.has(event.severity)) return false;
       if (filter.vehicles !== null && (event.vehicle === null || !filter.vehicles.has(event.vehicle))) return false;
       if (filter.open && (event.severity === "info" || acknowledged.has(keyOf(event)))) return false;
@@ -139,4 +119,109 @@ export function shownEvents(
 /** Knows an event again after a reconnect, which numbers all events anew. */
 export function keyOf(event: FleetEvent): string {
   return `${event.time_unix_s}|${event.kind}|${event.vehicle ?? ""}|${event.text}`;
+}
+
+export interface EventGroup {
+  /** Of a loss the loss itself; else the newest. */
+  head: JudgedEvent;
+  /** The others, newest first. */
+  more: readonly JudgedEvent[];
+  /** Vehicles that the same happened to; empty for a group that followed from its head. */
+  names: readonly string[];
+}
+
+/** As in the daemon's alarms: what follows from a loss, and for how long before it was called one. */
+const FOLLOWS = new Set(["separation", "uplink_lost", "control", "unattended"]);
+const BEFORE_CAUSE_S = 15;
+/** A loss that lasts longer explains nothing that is new. */
+const CAUSE_LASTS_S = 600;
+/** An order reaches a fleet over a slow radio within this. */
+const TOGETHER_S = 5;
+/** Fewer are rows of their own: as short, and with their own words. */
+const LEAST_ALIKE = 3;
+
+/** Groups in the order of `rows`, which are newest first. */
+export function grouped(rows: readonly JudgedEvent[]): EventGroup[] {
+  const causes = causesOf(rows);
+  const groups: { group: EventGroup & { more: JudgedEvent[] }; likeness: string | null; oldest_s: number }[] = [];
+  const byCause = new Map<JudgedEvent, JudgedEvent[]>();
+  for (const [event, cause] of causes) byCause.set(cause, [...(byCause.get(cause) ?? []), event]);
+  const latest = new Map<string, (typeof groups)[number]>();
+  for (const event of rows) {
+    if (causes.has(event)) continue;
+    const followed = byCause.get(event) ?? [];
+    const likeness = followed.length > 0 ? null : likenessOf(event);
+    const like = likeness === null ? undefined : latest.get(likeness);
+    if (like !== undefined && like.oldest_s - event.time_unix_s <= TOGETHER_S) {
+      like.group.more.push(event);
+      like.oldest_s = event.time_unix_s;
+    } else {
+      const made = { group: { head: event, more: followed, names: [] }, likeness, oldest_s: event.time_unix_s };
+      groups.push(made);
+      if (likeness !== null) latest.set(likeness, made);
+    }
+  }
+  const place = new Map(rows.map((event, index) => [event, index]));
+  const found = groups.flatMap(({ group, likeness }) => (likeness === null ? [group] : alike(group)));
+  return found.sort((a, b) => (place.get(a.head) ?? 0) - (place.get(b.head) ?? 0));
+}
+
+/** Alike events of enough vehicles as one; else each for itself. */
+function alike({ head, more }: EventGroup): EventGroup[] {
+  const members = [head, ...more];
+  const names = [...new Set(members.map((event) => event.vehicle ?? ""))].sort();
+  if (names.length >= LEAST_ALIKE) return [{ head, more, names }];
+  return members.map((event) => ({ head: event, more: [], names: [] }));
+}
+
+/** Each event that followed from a loss, with that loss. */
+function causesOf(rows: readonly JudgedEvent[]): Map<JudgedEvent, JudgedEvent> {
+  const causes = new Map<JudgedEvent, JudgedEvent>();
+  const losses = rows.filter((event) => event.kind === "vehicle_lost" && event.data["forgotten"] !== true);
+  for (const loss of losses) {
+    const back = rows.filter((event) => event.kind === "vehicle_back" && event.vehicle === loss.vehicle && event.time_unix_s >= loss.time_unix_s).at(-1);
+    const until_s = Math.min(back?.time_unix_s ?? Infinity, loss.time_unix_s + CAUSE_LASTS_S);
+    for (const event of rows) {
+      if (!FOLLOWS.has(event.kind) || causes.has(event) || event.time_unix_s > until_s || event.time_unix_s < loss.time_unix_s - BEFORE_CAUSE_S) continue;
+      if (event.vehicle === loss.vehicle || event.data["with"] === loss.vehicle) causes.set(event, loss);
+    }
+  }
+  return causes;
+}
+
+/** Equal for events that say the same of different vehicles; null: of no vehicle. */
+function likenessOf({ kind, vehicle, severity, text, data }: JudgedEvent): string | null {
+  if (vehicle === null) return null;
+  // of these the text has figures of its own for each vehicle
+  const what = kind === "mode" ? data["mode"] : ["vehicle_lost", "vehicle_back", "vehicle_discovered"].includes(kind) ? "" : text;
+  return JSON.stringify([severity, kind, what]);
+}
+
+/** "10 vehicles", of a group of alike events. */
+export function manyText(group: EventGroup): string {
+  return `${group.names.length} vehicles`;
+}
+
+/** What the row of a group says. */
+export function groupText({ head, names }: EventGroup): string {
+  if (names.length === 0) return head.text;
+  const who = namesText(names, 6);
+  switch (head.kind) {
+    case "mode": return `→ ${String(head.data["mode"])}: ${who}`;
+    case "vehicle_lost": return `lost: ${who}`;
+    case "vehicle_back": return `back: ${who}`;
+    case "vehicle_discovered": return `discovered: ${who}`;
+    default: return `${head.text}: ${who}`;
+  }
+}
+
+/** What is said aloud of alarms that came together. */
+export function spokenText(alarms: readonly JudgedEvent[]): string {
+  const groups = grouped([...alarms].reverse());
+  const first = groups.at(-1);
+  if (first === undefined) return "";
+  const { head, names } = first;
+  const what = names.length > 0 ? `${manyText(first)}: ${head.kind.replaceAll("_", " ")}` : `${head.vehicle ?? "Station"}: ${head.text}`;
+  const others = groups.length - 1;
+  return others === 0 ? what : `${what}. ${others} more ${others === 1 ? "alarm" : "alarms"}`;
 }

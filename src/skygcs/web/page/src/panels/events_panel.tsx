@@ -2,13 +2,12 @@
 
 import { Fragment } from "preact";
 import { useReducer, useState } from "preact/hooks";
-import { timeText } from "../format.ts";
+import { timeText, toggled } from "../format.ts";
 import { refusalText } from "../orders.ts";
 import type { Alarm } from "../types.ts";
 import { useChanges, useStore } from "../hooks.ts";
 import { alarmLog } from "./alarm_log.ts";
-import { grouped, groupText, manyText, type EventGroup } from "./event_groups.ts";
-import { keyOf, SEVERITIES, shownEvents, type Severity } from "./event_severity.ts";
+import { type EventGroup, grouped, groupText, keyOf, manyText, SEVERITIES, type Severity, shownEvents } from "./event_severity.ts";
 import type { PanelProps } from "./registry.ts";
 import { canSound, ownVoice, playAlarm, speak } from "./sound.ts";
 
@@ -45,9 +44,7 @@ export default function EventsPanel({ store, connection }: PanelProps) {
             {NAMES[one]} <b>{counts.get(one)}</b>
           </button>
         ))}
-        <button type="button" class="chip" aria-pressed={open} onClick={() => setOpen(!open)}>
-          Not acknowledged
-        </button>
+        <button type="button" class="chip" aria-pressed={open} onClick={() => setOpen(!open)}>Not acknowledged</button>
         <button type="button" class="chip" aria-pressed={selected} disabled={selection.size === 0} onClick={() => setSelected(!selected)}>
           Selected vehicles
         </button>
@@ -127,12 +124,8 @@ function EventRow({ group, select, open = false, toggle, inner = false }: RowPro
     <li data-severity={severity} data-open={unseen.length > 0} data-inner={inner}>
       <time class="muted">{timeText(head.time_unix_s)}</time>
       <span class="severity">{NAME[severity]}</span>
-      {targets.length === 0 ? (
-        <span class="who muted">–</span>
-      ) : (
-        <button type="button" class="link who" onClick={() => select(targets)}>
-          {names.length > 0 ? manyText(group) : head.vehicle}
-        </button>
+      {targets.length === 0 ? <span class="who muted">–</span> : (
+        <button type="button" class="link who" onClick={() => select(targets)}>{names.length > 0 ? manyText(group) : head.vehicle}</button>
       )}
       <span class="kind muted">{head.kind.replaceAll("_", " ")}</span>
       <span class="what">
@@ -174,10 +167,4 @@ function Sound() {
       </button>
     </>
   );
-}
-
-function toggled<T>(set: ReadonlySet<T>, one: T): ReadonlySet<T> {
-  const next = new Set(set);
-  if (!next.delete(one)) next.add(one);
-  return next;
 }

@@ -89,9 +89,9 @@ function CheckRow({ row, vehicles, shown, show }: { row: MatrixRow; vehicles: re
   );
 }
 
-/** "2 of 3 are ready, 1 not examined" */
-function summary({ vehicles, ready, never }: Matrix): string {
+/** "1 of 3 is ready; expired: delta; not examined: echo." */
+function summary({ vehicles, ready, expired, never }: Matrix): string {
   if (vehicles.length === 0) return "No vehicle was examined since the daemon started.";
-  const rest = never.length === 0 ? "" : `; not examined: ${namesText(never)}`;
+  const rest = ([["expired", expired], ["not examined", never]] as const).map(([what, names]) => (names.length === 0 ? "" : `; ${what}: ${namesText(names)}`)).join("");
   return `${ready} of ${vehicles.length} ${vehicles.length === 1 ? "is" : "are"} ready${rest}.`;
 }

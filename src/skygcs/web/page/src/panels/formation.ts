@@ -23,10 +23,8 @@ export function formation(shape: FormationShape, count: number, spacingM: number
 function places(shape: FormationShape, count: number): (readonly [number, number])[] {
   const numbers = Array.from({ length: count }, (_, i) => i);
   switch (shape) {
-    case "line":
-      return numbers.map((i) => [0, -i]);
-    case "column":
-      return numbers.map((i) => [-i, 0]);
+    case "line": return numbers.map((i) => [0, -i]);
+    case "column": return numbers.map((i) => [-i, 0]);
     case "circle": {
       const radius = count === 1 ? 0 : 0.5 / Math.sin(Math.PI / count);
       return numbers.map((i) => [radius * Math.cos((2 * Math.PI * i) / count), radius * Math.sin((2 * Math.PI * i) / count)]);

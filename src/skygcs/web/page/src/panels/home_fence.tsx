@@ -1,13 +1,13 @@
 // The fence about home that an autopilot's parameters make: read, and set on the selected vehicles.
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
-import { refusalText } from "../orders.ts";
+import { runOrder } from "../orders.ts";
 import type { Outcome } from "../types.ts";
-import { ask, mayOrder, orderWith } from "./calls.ts";
-import { Choice, Failure, NumberField } from "./parts.tsx";
+import { ask, mayOrder } from "./calls.ts";
+import { Choice, Failure, NumberField, useKept, useWork } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 export interface HomeFence {
@@ -15,7 +15,6 @@ export interface HomeFence {
   action: string | null;
   radius_m: number | null;
   height_m: number | null;
-  follows_list: boolean;
 }
 
 type Outcomes = Readonly<Record<string, Outcome & { fence: HomeFence | null }>>;
@@ -38,8 +37,7 @@ interface Form {
   action: Action;
 }
 
-/** It outlives the panel. */
-let lastForm: Form = { radiusM: null, heightM: null, action: "leave" };
+const FORM: { value: Form } = { value: { radiusM: null, heightM: null, action: "leave" } };
 
 /** The parameters of fence.set: what is left empty stays as it is; null: nothing would be set. */
 export function fenceParams({ radiusM, heightM, action }: Form): object | null {
@@ -63,46 +61,18 @@ export function fenceText({ radiusM, heightM, action }: Form): string {
 
 export function HomeFencePanel({ store, connection, targets }: PanelProps & { targets: readonly string[] }) {
   const orders = useStore(store, mayOrder);
-  const [form, setForm] = useState(lastForm);
-  const [found, setFound] = useState<Outcomes | null>(null);
-  const [busy, setBusy] = useState(false);
-  const [error, setError] = useState<string | null>(null);
-  const wanted = useRef(0);
+  const [form, keep] = useKept(FORM);
+  const { busy, answer: found, error, run, show, clear } = useWork<Outcomes>();
   const about = targets.join("\n");
-  useEffect(() => { // what was read of others is not shown
-    wanted.current++;
-    setFound(null);
-    setError(null);
-    setBusy(false);
-  }, [about]);
-  const keep = (next: Form): void => {
-    lastForm = next;
-    setForm(next);
-  };
-  const read = async (): Promise<void> => {
-    const mine = ++wanted.current;
-    setBusy(true);
-    setError(null);
-    try {
-      const { outcomes } = await ask<{ outcomes: Outcomes }>(store, connection, "fence.status", { targets });
-      if (mine === wanted.current) setFound(outcomes);
-    } catch (failed) {
-      if (mine === wanted.current) setError(refusalText(failed));
-    }
-    if (mine === wanted.current) setBusy(false);
-  };
+  useEffect(clear, [about, clear]); // what was read of others is not shown
+  const read = (): Promise<unknown> => run(async () => (await ask<{ outcomes: Outcomes }>(store, connection, "fence.status", { targets })).outcomes);
   const params = fenceParams(form);
   const set = async (): Promise<void> => {
     if (params === null) return;
-    const mine = ++wanted.current;
-    setBusy(false);
+    const mine = show(found);
     const request = { label: `Fence about home: ${fenceText(form)}`, method: "fence.set", params: { targets, ...params }, targets };
-    const answer = await orderWith<{ outcomes: Outcomes }>(store, connection, request, ({ outcomes }) => ({
-      ok: Object.values(outcomes).every(({ ok }) => ok),
-      outcomes,
-      text: null,
-    }));
-    if (answer !== null && mine === wanted.current) setFound(answer.outcomes);
+    const answer = await runOrder<{ outcomes: Outcomes }>(store, connection, request);
+    if (answer !== null && mine()) show(answer.outcomes);
   };
   if (targets.length === 0) return <p class="note">Select the vehicles whose fence it is.</p>;
   const whom = namesText(targets);
@@ -121,9 +91,7 @@ export function HomeFencePanel({ store, connection, targets }: PanelProps & { ta
               what={`Set the fence of ${whom}: ${fenceText(form)}`} act={() => void set()}>
               Set fence
             </HoldButton>
-            <button type="button" disabled={busy} onClick={() => void read()}>
-              {busy ? "Reading …" : "Read from the vehicles"}
-            </button>
+            <button type="button" disabled={busy} onClick={() => void read()}>{busy ? "Reading …" : "Read from the vehicles"}</button>
           </div>
         </>
       )}
@@ -136,14 +104,7 @@ export function HomeFencePanel({ store, connection, targets }: PanelProps & { ta
 function Fences({ outcomes }: { outcomes: Outcomes }) {
   return (
     <table class="plain" aria-label="Fences about home">
-      <thead>
-        <tr>
-          <th>vehicle</th>
-          <th class="number">radius</th>
-          <th class="number">height</th>
-          <th>outside of it</th>
-        </tr>
-      </thead>
+      <thead><tr><th>vehicle</th><th class="number">radius</th><th class="number">height</th><th>outside of it</th></tr></thead>
       <tbody>
         {Object.entries(outcomes).map(([name, { ok, message, fence }]) => (
           <tr key={name}>

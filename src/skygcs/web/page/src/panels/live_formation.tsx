@@ -4,9 +4,10 @@ import { useMemo, useState } from "preact/hooks";
 import { namesText, toDecimetre } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useFramed, useFrameKnown, useOverlay, useStore } from "../hooks.ts";
-import type { Outcome, Vec3 } from "../types.ts";
-import { mayOrder, orderWith } from "./calls.ts";
-import { overlay } from "./drawing.ts";
+import type { Vec3 } from "../types.ts";
+import { runOrder } from "../orders.ts";
+import { mayOrder } from "./calls.ts";
+import { overlay } from "./drafts.ts";
 import { SHAPES, type FormationShape } from "./formation.ts";
 import { Choice, Failure, NumberField, PlainTable, usePolled, useTool } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
@@ -84,11 +85,6 @@ function Shown({ status }: { status: FormationStatus }) {
   );
 }
 
-/** The answer of every method of a formation, as the list of orders shows it. */
-function readStatus(): { ok: boolean; outcomes: Readonly<Record<string, Outcome>>; text: string | null } {
-  return { ok: true, outcomes: {}, text: null };
-}
-
 function Flying({ store, connection, view, status }: PanelProps & { status: FormationStatus }) {
   const targets = status.members.map((one) => one.vehicle);
   const [chosen, setChosen] = useFramed<Vec3 | null>(store, null);
@@ -97,7 +93,7 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
   const to = chosen ?? middle;
   const [heading, setHeading] = useState(Math.round(status.heading_deg ?? 0));
   const [scale, setScale] = useState(status.scale ?? 1);
-  const order = (label: string, method: string, params: object): void => void orderWith(store, connection, { label, method, params, targets }, readStatus);
+  const order = (label: string, method: string, params: object): void => void runOrder(store, connection, { label, method, params, targets });
   const tool = useTool(
     view,
     () => ({
@@ -134,9 +130,7 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
         </HoldButton>
       </div>
       <div class="row">
-        <button type="button" class="primary" onClick={() => order("Stop formation", "formation.stop", {})}>
-          Stop: all brake and hold
-        </button>
+        <button type="button" class="primary" onClick={() => order("Stop formation", "formation.stop", {})}>Stop: all brake and hold</button>
       </div>
     </>
   );
@@ -152,7 +146,7 @@ function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {
   const targets = [...selection].filter((name) => name !== leader);
   const leaders = known.filter((name) => !selection.has(name));
   const params = { targets, shape, spacing_m: spacing, heading_deg: heading, ...(leader === VIRTUAL ? {} : { leader }) };
-  const start = (): void => void orderWith(store, connection, { label: "Start formation", method: "formation.start", params, targets }, readStatus);
+  const start = (): void => void runOrder(store, connection, { label: "Start formation", method: "formation.start", params, targets });
   return (
     <>
       <div class="row wrap">
@@ -166,9 +160,7 @@ function Start({ store, connection, flies }: PanelProps & { flies: boolean }) {
         <NumberField label="Heading" unit="° from x" value={heading} least={-360} most={360} onValue={(value) => value !== null && setHeading(value)} />
         <Choice label="Leader" value={leader} options={[[VIRTUAL, "a point"], ...leaders.map((name) => [name, name] as const)]} onValue={setLeader} />
       </div>
-      {targets.length === 0 ? (
-        <p class="muted">Select the vehicles that are to follow.</p>
-      ) : (
+      {targets.length === 0 ? <p class="muted">Select the vehicles that are to follow.</p> : (
         <HoldButton targets={targets} what={`Fly ${namesText(targets)} as a formation`} act={start}>
           {flies ? `New places for ${targets.length}` : `Start formation of ${targets.length}`}
         </HoldButton>

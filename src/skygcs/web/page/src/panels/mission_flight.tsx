@@ -4,20 +4,18 @@ import { useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
-import { refusalText, sendOrder } from "../orders.ts";
-import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
-import { Failure, keepFile, NumberField, PlainTable, Scroll, usePolled, type FileContent } from "./parts.tsx";
+import { runOrder, sendOrder } from "../orders.ts";
+import { ask, mayOrder, said } from "./calls.ts";
+import { Failure, keepFile, NumberField, PlainTable, Scroll, usePolled, useWork, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 export interface MissionStatus {
   vehicle: string;
   item: number | null;
-  reached: number | null;
   state: string | null;
   counts: Readonly<Record<"mission" | "fence" | "rally", number | null>>;
   turn: { turn: number; of: number; state: "flies" | "waits" | "done" } | null;
   transfer: { what: string; percent: number | null; sent?: number } | null;
-  last: Readonly<Record<string, { ok: boolean; message: string } | null>>;
 }
 
 /** Of the selected vehicles; without a selection of none. */
@@ -72,16 +70,12 @@ function Buttons({ store, connection, status, targets }: FlightProps) {
         </HoldButton>
       )}
       {status.some(({ turn }) => turn !== null) && (
-        <button type="button" onClick={() => void orderWith(store, connection, { label: "End the turns", method: "missions.end_turns", params: {}, targets }, readEnded)}>
+        <button type="button" onClick={() => void runOrder(store, connection, { label: "End the turns", method: "missions.end_turns", params: {}, targets }, readEnded)}>
           End the turns
         </button>
       )}
-      <button type="button" onClick={() => order("Pause mission", "missions.pause")}>
-        Pause
-      </button>
-      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>
-        Resume
-      </HoldButton>
+      <button type="button" onClick={() => order("Pause mission", "missions.pause")}>Pause</button>
+      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>Resume</HoldButton>
       <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
       <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
         Go to it
@@ -102,35 +96,22 @@ function stateText({ state, turn }: MissionStatus): string {
   return turn.state === "waits" ? `waits, turn ${turn.turn} of ${turn.of}` : `${state ?? "flies"}, turn ${turn.turn} of ${turn.of}`;
 }
 
-function readEnded({ ended }: { ended: boolean }): ReturnType<Reader<unknown>> {
-  return { ok: ended, outcomes: {}, text: ended ? null : "no missions were flown one after another" };
+function readEnded({ ended }: { ended: boolean }): ReturnType<typeof said> {
+  return said(ended, "no missions were flown one after another");
 }
 
 function Download(props: PanelProps & { name: string; showDownloaded: (file: FileContent) => void }) {
   const { name, showDownloaded } = props;
-  const [state, setState] = useState<{ busy: boolean; error: string | null; file: FileContent | null }>({ busy: false, error: null, file: null });
+  const { busy, answer: file, error, run } = useWork<FileContent>();
   const read = async (): Promise<void> => {
-    setState({ busy: true, error: null, file: null });
-    try {
-      const file = await downloaded(props, name);
-      setState({ busy: false, error: null, file });
-      showDownloaded(file);
-    } catch (error) {
-      setState({ busy: false, error: refusalText(error), file: null });
-    }
+    const found = await run(() => downloaded(props, name));
+    if (found !== null) showDownloaded(found);
   };
-  const { file } = state;
   return (
     <div class="row wrap">
-      <button type="button" disabled={state.busy} onClick={() => void read()}>
-        {state.busy ? "Reading …" : `Read from ${name}`}
-      </button>
-      {file !== null && (
-        <button type="button" onClick={() => keepFile(file.name, file.text ?? "")}>
-          Save to file
-        </button>
-      )}
-      <Failure text={state.error} />
+      <button type="button" disabled={busy} onClick={() => void read()}>{busy ? "Reading …" : `Read from ${name}`}</button>
+      {file !== null && <button type="button" onClick={() => keepFile(file.name, file.text ?? "")}>Save to file</button>}
+      <Failure text={error} />
     </div>
   );
 }

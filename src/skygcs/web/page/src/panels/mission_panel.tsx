@@ -4,17 +4,16 @@ import { useEffect, useMemo, useReducer, useRef, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useFrameKnown, useOverlay, useSelected, useStore } from "../hooks.ts";
-import { refusalText, sendOrder } from "../orders.ts";
+import { sendOrder } from "../orders.ts";
 import type { Store } from "../store.ts";
 import type { Origin, Vec3 } from "../types.ts";
 import { mayOrder } from "./calls.ts";
-import { NEW_DRAFT, shownDraft, withDrawing, withSettings, type Draft, type DraftSettings, type KeptDraft } from "./drafts.ts";
-import { drawnShapes, overlay, pointsTool, without, type Drawing } from "./drawing.ts";
+import { type Draft, type DraftSettings, type Drawing, drawnShapes, type KeptDraft, NEW_DRAFT, overlay, pointsTool, shownDraft, withDrawing, without, withSettings } from "./drafts.ts";
 import { commandText, countsText, lengthOf, missionShapes, type CheckedMission } from "./mission_shapes.ts";
 import { HomeFencePanel } from "./home_fence.tsx";
 import { ALIKE, arrangementOf, askedPaths, bySystemId, SeveralFields, severalShapes, type Several } from "./mission_several.tsx";
 import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
-import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useKept, useTool, useWork, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "mission";
@@ -33,23 +32,20 @@ const TABS: readonly { id: What; title: string }[] = [
 
 /** They outlive the panel. */
 const drafts = new Map<What, KeptDraft>();
-let lastTab: What = "file";
-let lastFile: FileContent | null = null;
-let lastSeveral = ALIKE;
+const TAB: { value: What } = { value: "file" };
+const FILE: { value: FileContent | null } = { value: null };
+const SEVERAL = { value: ALIKE };
 
 export default function MissionPanel(props: PanelProps) {
   const { store, view } = props;
   const targets = useSelected(store);
-  const [tab, setTab] = useState<What>(lastTab);
+  const [tab, keepTab] = useKept(TAB);
   const [checked, setChecked] = useState<CheckedMission | null>(null);
   const { note, ...keeper } = useDraft(store, tab);
   const { draft } = keeper;
   const known = useFrameKnown(store);
-  const [several, setSeveral] = useState(lastSeveral);
-  const keepSeveral = (next: Several): void => {
-    lastSeveral = next;
-    setSeveral(next);
-  };
+  const [several, keepSeveral] = useKept(SEVERAL);
+  const [file, keepFile] = useKept(FILE);
   const orders = useStore(store, mayOrder);
   const arranged = targets.length > 1 && (tab === "file" || tab === "mission");
   const status = useMissionStatus(props, targets);
@@ -64,20 +60,19 @@ export default function MissionPanel(props: PanelProps) {
   }, [checked, draft, tab, current]);
   useOverlay(view, OVERLAY, shapes);
   const go = (id: string): void => {
-    lastTab = id as What;
-    setTab(lastTab);
+    keepTab(id as What);
     setChecked(null);
   };
   return (
     <div class="panel missionpanel">
       <SubTabs label="Where it comes from" tabs={TABS} now={tab} go={go} />
-      {tab === "file" && <FromFile {...props} targets={targets} several={several} setChecked={setChecked} />}
+      {tab === "file" && <FromFile {...props} file={file} keepFile={keepFile} targets={targets} several={several} setChecked={setChecked} />}
       {tab === "home" && <HomeFencePanel {...props} targets={targets} />}
       {tab !== "home" && note !== null && <p class="note" role="status">{note}</p>}
       {tab !== "file" && tab !== "home" && <Drawn key={tab} {...props} what={tab} keeper={keeper} several={several} setChecked={setChecked} targets={targets} />}
       {arranged && orders && <SeveralFields several={several} keep={keepSeveral} names={bySystemId(store, targets)} problem={checked?.several?.problem ?? null} />}
       {checked !== null && known && <Checked {...props} checked={checked} targets={targets} several={arranged ? several : ALIKE} fenceOnly={tab === "polygon" || tab === "circle"} />}
-      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(file) => { lastFile = file; lastTab = "file"; setTab("file"); setChecked(null); }} />
+      <MissionFlight {...props} status={status} targets={targets} showDownloaded={(next) => { keepFile(next); go("file"); }} />
     </div>
   );
 }
@@ -126,40 +121,40 @@ function context(store: Store, origin: Origin | null, targets: readonly string[]
 
 // --- from a file ------------------------------------------------------------------------------------------------------
 
-function FromFile({ store, connection, targets, several, setChecked }: PanelProps & { targets: readonly string[]; several: Several; setChecked: (checked: CheckedMission | null) => void }) {
+interface FileProps extends PanelProps {
+  file: FileContent | null;
+  keepFile: (file: FileContent) => void;
+  targets: readonly string[];
+  several: Several;
+  setChecked: (checked: CheckedMission | null) => void;
+}
+
+function FromFile({ store, connection, file, keepFile, targets, several, setChecked }: FileProps) {
   const check = useAsk<CheckedMission>(store, connection, "web.mission.check");
-  const [unread, setUnread] = useState<string | null>(null);
   const origin = useStore(store, (state) => state.origin);
-  const [file, setFile] = useState(lastFile);
   const known = useFrameKnown(store);
   const { run, clear } = check;
   // the file is checked again for another vehicle, or about another origin
   useEffect(() => {
     clear();
     setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
-    if (lastFile === null || !known) return;
-    const { text } = lastFile;
-    void run({ file: lastFile, ...context(store, origin, targets, several) }).then((found) => {
+    if (file === null || !known) return;
+    const { text } = file;
+    void run({ file, ...context(store, origin, targets, several) }).then((found) => {
       if (found !== null) setChecked({ ...found, text: text ?? null });
     });
   }, [run, clear, store, origin, known, targets, several, file, setChecked]);
-  const take = async (files: File[]): Promise<void> => {
-    const [first] = files;
-    if (first === undefined) return;
-    try {
-      lastFile = await contentOf(first);
-      setUnread(null);
-      setFile(lastFile);
-    } catch (error) {
-      setUnread(refusalText(error));
-    }
+  const read = useWork<FileContent>();
+  const take = async ([first]: File[]): Promise<void> => {
+    const content = first === undefined ? null : await read.run(() => contentOf(first));
+    if (content !== null) keepFile(content);
   };
   return (
     <>
       <DropZone label="Open a file" accept=".plan,.waypoints,.txt,.mission,.json" onFiles={(files) => void take(files)} />
       <p class="muted">QGroundControl .plan, Mission Planner .waypoints (QGC WPL 110): mission, fence and rally points.</p>
       {check.busy && <p class="note">Checking …</p>}
-      <Failure text={unread ?? check.error} />
+      <Failure text={read.error ?? check.error} />
     </>
   );
 }
@@ -177,10 +172,7 @@ function Drawn(props: PanelProps & { what: What; keeper: DraftKeeper; several: S
   const tool = useTool(
     view,
     () => {
-      const points = {
-        get: () => latest.current.draft.drawing,
-        set: (drawing: Drawing) => latest.current.draw(drawing),
-      };
+      const points = { get: () => latest.current.draft.drawing, set: (drawing: Drawing) => latest.current.draw(drawing) };
       const hint = what === "circle" ? "Click: the middle of the fence. Drag moves it." : "Click: a point. Drag moves one.";
       return pointsTool(points, hint, () => (fence ? 0 : latest.current.draft.heightM), what === "circle" ? 1 : undefined);
     },
@@ -218,22 +210,17 @@ function Drawn(props: PanelProps & { what: What; keeper: DraftKeeper; several: S
 
 function hintOf(what: What): string {
   switch (what) {
-    case "mission":
-      return "Click waypoints on the view; drag them; their heights are above home.";
-    case "polygon":
-      return "Click the corners of the fence on the view.";
-    default:
-      return "Click the middle of the fence on the view.";
+    case "mission": return "Click waypoints on the view; drag them; their heights are above home.";
+    case "polygon": return "Click the corners of the fence on the view.";
+    default: return "Click the middle of the fence on the view.";
   }
 }
 
 function drawnParams(what: What, draft: Draft): object | null {
   const { points } = draft.drawing;
   switch (what) {
-    case "mission":
-      return points.length === 0 ? null : { waypoints: points, takeoff_height_m: draft.takeoffM, end: draft.end };
-    case "polygon":
-      return points.length < 3 ? null : { polygons: [{ inclusion: draft.inclusion, corners: points.map(([x, y]) => [x, y]) }] };
+    case "mission": return points.length === 0 ? null : { waypoints: points, takeoff_height_m: draft.takeoffM, end: draft.end };
+    case "polygon": return points.length < 3 ? null : { polygons: [{ inclusion: draft.inclusion, corners: points.map(([x, y]) => [x, y]) }] };
     default: {
       const [centre] = points;
       return centre === undefined ? null : { circles: [{ inclusion: draft.inclusion, center: [centre[0], centre[1]], radius_m: draft.radiusM }] };
@@ -260,21 +247,15 @@ function Points({ drawing, draw, heights }: { drawing: Drawing; draw: (drawing: 
       <ol class="points" aria-label="Points">
         {points.map(([x, y, up], i) => (
           <li key={i} aria-selected={i === selected}>
-            <button type="button" class="link" onClick={() => set(points, i)}>
-              {x.toFixed(1)}, {y.toFixed(1)}
-            </button>
+            <button type="button" class="link" onClick={() => set(points, i)}>{x.toFixed(1)}, {y.toFixed(1)}</button>
             {heights && (
               <NumberField label={`Height of point ${i + 1}`} unit="m" value={up} least={0.5} most={500} onValue={(value) => value !== null && set(points.map((point, k): Vec3 => (k === i ? [point[0], point[1], value] : point)), i)} />
             )}
-            <button type="button" class="quiet" aria-label={`Remove point ${i + 1}`} onClick={() => set(without(points, i), null)}>
-              ×
-            </button>
+            <button type="button" class="quiet" aria-label={`Remove point ${i + 1}`} onClick={() => set(without(points, i), null)}>×</button>
           </li>
         ))}
       </ol>
-      <button type="button" onClick={() => set([], null)}>
-        Clear the drawing
-      </button>
+      <button type="button" onClick={() => set([], null)}>Clear the drawing</button>
     </>
   );
 }

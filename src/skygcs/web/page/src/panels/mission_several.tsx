@@ -44,14 +44,10 @@ const AUTO: Readonly<Record<Kind, string>> = {
 /** The parameter of missions.upload. */
 export function arrangementOf({ kind, stepM, spacingM, headingDeg }: Several): object | null {
   switch (kind) {
-    case "same":
-      return null;
-    case "heights":
-      return { kind, step_m: stepM };
-    case "present":
-      return { kind };
-    default:
-      return { kind, spacing_m: spacingM, heading_deg: headingDeg };
+    case "same": return null;
+    case "heights": return { kind, step_m: stepM };
+    case "present": return { kind };
+    default: return { kind, spacing_m: spacingM, heading_deg: headingDeg };
   }
 }
 

@@ -1,4 +1,6 @@
-// Parameters in the browser: search, what a type can hold, and edits that wait to be sent.
+// Parameters in the browser: search, what a type can hold, edits that wait to be sent, and what is known of each vehicle's.
+
+import { Changes } from "../hooks.ts";
 
 export interface ParamEntry {
   name: string;
@@ -64,9 +66,7 @@ export function rangeOf(type: string): ValueRange {
   const known = BITS[type];
   if (known === undefined) return { least: -FLOAT_MOST, most: FLOAT_MOST, whole: false };
   const [bits, signed] = known;
-  return signed
-    ? { least: -(2 ** (bits - 1)), most: 2 ** (bits - 1) - 1, whole: true }
-    : { least: 0, most: 2 ** bits - 1, whole: true };
+  return signed ? { least: -(2 ** (bits - 1)), most: 2 ** (bits - 1) - 1, whole: true } : { least: 0, most: 2 ** bits - 1, whole: true };
 }
 
 /** "a whole number from -128 to 127", "a number". */
@@ -110,10 +110,7 @@ export function valueText(value: number | null): string {
 
 /** Words that are all in the name; a word with * or ? is a pattern for the whole name. */
 export function matches(name: string, search: string): boolean {
-  return search
-    .toUpperCase()
-    .split(/\s+/)
-    .filter(Boolean)
+  return search.toUpperCase().split(/\s+/).filter(Boolean)
     .every((word) => (/[*?]/.test(word) ? pattern(word).test(name) : name.toUpperCase().includes(word)));
 }
 
@@ -127,3 +124,47 @@ export function groupOf(name: string): string {
   const cut = name.indexOf("_");
   return cut > 0 ? name.slice(0, cut) : name;
 }
+
+export interface ParamBook {
+  params: readonly ParamEntry[];
+  /** By name; empty until it came, and for a firmware without any. */
+  metadata: Readonly<Record<string, ParamMetadata>>;
+  /** Where the metadata come from. */
+  source: string;
+  edits: ReadonlyMap<string, number>;
+  /** Set from this page: marked. */
+  setHere: ReadonlySet<string>;
+  sysid: number;
+  compid: number;
+  autopilot: string;
+  /** Its list is on its way. */
+  reading: boolean;
+  /** Why the last list did not come. */
+  failure: string | null;
+}
+
+const EMPTY_BOOK: ParamBook = { params: [], metadata: {}, source: "", edits: new Map(), setHere: new Set(), sysid: 1, compid: 1, autopilot: "generic", reading: false, failure: null };
+
+/** Vehicles whose parameters are kept: some 300 kB each. */
+export const MAX_BOOKS = 20;
+
+export class ParamBooks extends Changes {
+  private readonly byName = new Map<string, ParamBook>();
+
+  of(name: string): ParamBook {
+    return this.byName.get(name) ?? EMPTY_BOOK;
+  }
+
+  /** Keeps the changed book, and forgets the one that was changed longest ago. */
+  change(name: string, change: (book: ParamBook) => ParamBook): void {
+    const book = change(this.of(name));
+    this.byName.delete(name);
+    this.byName.set(name, book);
+    const [oldest] = this.byName.keys();
+    if (this.byName.size > MAX_BOOKS && oldest !== undefined) this.byName.delete(oldest);
+    this.changed();
+  }
+}
+
+/** One for the page. */
+export const paramBooks = new ParamBooks();

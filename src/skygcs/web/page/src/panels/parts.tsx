@@ -32,9 +32,7 @@ export function usePolled<T>(store: Store, connection: Connection, method: strin
     if (method === null) return undefined;
     let here = true;
     let timer: ReturnType<typeof setTimeout> | undefined;
-    const turnOver = (): void => {
-      timer = setTimeout(() => void next(), everyMs);
-    };
+    const turnOver = (): void => { timer = setTimeout(() => void next(), everyMs); };
     const next = async (): Promise<void> => {
       if (document.visibilityState === "hidden") {
         turnOver();
@@ -64,39 +62,53 @@ export function usePolled<T>(store: Store, connection: Connection, method: strin
   return { ...found, again: () => setTurn((n) => n + 1) };
 }
 
-export interface Asking<T> {
+interface Working<T> {
   busy: boolean;
   answer: T | null;
   error: string | null;
-  run: (params: object) => Promise<T | null>;
-  clear: () => void;
 }
 
-/** One question at a person's wish. A newer one replaces it: an older answer is neither shown nor returned. */
-export function useAsk<T>(store: Store, connection: Connection, method: string): Asking<T> {
-  const [state, setState] = useState<{ busy: boolean; answer: T | null; error: string | null }>({ busy: false, answer: null, error: null });
+const IDLE = { busy: false, answer: null, error: null };
+
+/** Work at a person's wish, that ends with an answer or an error. Newer work replaces it: an older answer is neither shown nor
+ *  returned. `show` puts an answer in its place, and returns whether nothing newer has since. */
+export function useWork<T>() {
+  const [state, setState] = useState<Working<T>>(IDLE);
   const number = useRef(0);
-  const run = useCallback(
-    async (params: object): Promise<T | null> => {
-      const mine = ++number.current;
-      setState((before) => ({ ...before, busy: true, error: null }));
-      try {
-        const answer = await ask<T>(store, connection, method, params);
-        if (mine !== number.current) return null;
-        setState({ busy: false, answer, error: null });
-        return answer;
-      } catch (error) {
-        if (mine === number.current) setState({ busy: false, answer: null, error: refusalText(error) });
-        return null;
-      }
-    },
-    [store, connection, method],
-  );
-  const clear = useCallback(() => {
-    number.current++;
-    setState({ busy: false, answer: null, error: null });
+  const show = useCallback((answer: T | null, error: string | null = null): (() => boolean) => {
+    const mine = ++number.current;
+    setState({ busy: false, answer, error });
+    return () => mine === number.current;
   }, []);
-  return { ...state, run, clear };
+  const run = useCallback(async (work: () => Promise<T>): Promise<T | null> => {
+    const mine = ++number.current;
+    setState((before) => ({ ...before, busy: true, error: null }));
+    const ended = await work().then((answer) => ({ answer, error: null }), (error: unknown) => ({ answer: null, error: refusalText(error) }));
+    if (mine !== number.current) return null;
+    show(ended.answer, ended.error);
+    return ended.answer;
+  }, [show]);
+  const clear = useCallback((): void => void show(null), [show]);
+  return { ...state, run, show, clear };
+}
+
+/** One question at a person's wish; its parameters may have to be read from a file first. */
+export function useAsk<T>(store: Store, connection: Connection, method: string) {
+  const { run: work, ...rest } = useWork<T>();
+  const run = useCallback(
+    (params: object | Promise<object>) => work(async () => ask<T>(store, connection, method, await params)),
+    [work, store, connection, method],
+  );
+  return { ...rest, run };
+}
+
+/** A value that outlives its panel: another tab must not lose it. */
+export function useKept<T>(kept: { value: T }): [value: T, keep: (next: T) => void] {
+  const [value, setValue] = useState(kept.value);
+  return [value, useCallback((next: T) => {
+    kept.value = next;
+    setValue(() => next);
+  }, [kept])];
 }
 
 /** The canvas' tool while a panel is shown. A person may end it with Escape; `resume` takes it up again. */
@@ -166,9 +178,7 @@ export function DropZone(props: { label: string; accept: string; several?: boole
         take(event.dataTransfer?.files);
       }}
     >
-      <button type="button" onClick={() => input.current?.click()}>
-        {props.label}
-      </button>
+      <button type="button" onClick={() => input.current?.click()}>{props.label}</button>
       <span class="muted bymouse">or drop it here</span>
       <input
         ref={input}
@@ -211,10 +221,7 @@ export function Age({ age_s, old_s = 5 }: { age_s: number | null; old_s?: number
 export function Fold({ title, side, open = false, children }: { title: ComponentChildren; side?: ComponentChildren; open?: boolean; children: ComponentChildren }) {
   return (
     <details class="fold" open={open}>
-      <summary>
-        <span class="foldtitle">{title}</span>
-        {side !== undefined && <span class="foldside">{side}</span>}
-      </summary>
+      <summary><span class="foldtitle">{title}</span>{side !== undefined && <span class="foldside">{side}</span>}</summary>
       {children}
     </details>
   );
@@ -237,13 +244,9 @@ export function PlainTable<T>({ rows, keyOf, columns, row: more, caption, class:
   return (
     <table class={`plain ${kind}`}>
       {caption !== undefined && <caption>{caption}</caption>}
-      <thead>
-        <tr>{columns.map(([title, , of], i) => <th key={i} class={of}>{title}</th>)}</tr>
-      </thead>
+      <thead><tr>{columns.map(([title, , of], i) => <th key={i} class={of}>{title}</th>)}</tr></thead>
       <tbody>
-        {rows.map((row) => (
-          <tr key={keyOf(row)} {...more?.(row)}>{columns.map(([, cell, of], i) => <td key={i} class={of}>{cell(row)}</td>)}</tr>
-        ))}
+        {rows.map((row) => <tr key={keyOf(row)} {...more?.(row)}>{columns.map(([, cell, of], i) => <td key={i} class={of}>{cell(row)}</td>)}</tr>)}
       </tbody>
     </table>
   );
@@ -252,9 +255,7 @@ export function PlainTable<T>({ rows, keyOf, columns, row: more, caption, class:
 /** Names and values below each other. */
 export function Facts({ facts, raw }: { facts: readonly (readonly [ComponentChildren, ComponentChildren])[]; raw?: boolean }) {
   return (
-    <dl class={raw === true ? "fields raw" : "fields"}>
-      {facts.map(([name, value], i) => <div key={i}><dt>{name}</dt><dd>{value}</dd></div>)}
-    </dl>
+    <dl class={raw === true ? "fields raw" : "fields"}>{facts.map(([name, value], i) => <div key={i}><dt>{name}</dt><dd>{value}</dd></div>)}</dl>
   );
 }
 
@@ -314,16 +315,17 @@ export function NumberField(props: {
   );
 }
 
+/** A box to tick, with its label behind it. */
+export function Check({ checked, onChecked, title, class: kind = "check", children }: { checked: boolean; onChecked: (checked: boolean) => void; title?: string; class?: string; children: ComponentChildren }) {
+  return <label class={kind} title={title}><input type="checkbox" checked={checked} onChange={(event) => onChecked(event.currentTarget.checked)} /> {children}</label>;
+}
+
 export function Choice<T extends string>(props: { label: string; value: T; options: readonly (readonly [T, string])[]; onValue: (value: T) => void }) {
   return (
     <label class="field">
       <span>{props.label}</span>
       <select value={props.value} onChange={(event) => props.onValue(event.currentTarget.value as T)}>
-        {props.options.map(([value, text]) => (
-          <option key={value} value={value}>
-            {text}
-          </option>
-        ))}
+        {props.options.map(([value, text]) => <option key={value} value={value}>{text}</option>)}
       </select>
     </label>
   );

@@ -4,11 +4,11 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
-import { refusalText } from "../orders.ts";
+import { runOrder } from "../orders.ts";
 import { PlanButtons } from "../plan_bar.tsx";
 import { AT_REST, FAILED, planText } from "../plan_status.ts";
-import { ask, mayOrder, orderWith, readMessage } from "./calls.ts";
-import { Choice, Failure, NumberField, PlainTable } from "./parts.tsx";
+import { ask, mayOrder, readMessage, said } from "./calls.ts";
+import { Choice, Failure, NumberField, PlainTable, useWork } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
 import { givenPlan } from "./plan_upload.ts";
 import type { PanelProps } from "./registry.ts";
@@ -75,7 +75,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
   const targets = status.vehicles.map((one) => one.vehicle);
   const [speed, setSpeed] = useState<number | null>(status.speed ?? 1);
   const order = (label: string, method: string, params: object = {}): void =>
-    void orderWith(store, connection, { label, method, params, targets }, readMessage);
+    void runOrder(store, connection, { label, method, params, targets }, readMessage);
   const whom = namesText(targets);
   return (
     <>
@@ -88,9 +88,7 @@ function Running({ store, connection, status }: PanelProps & { status: PlanStatu
       {status.kind === "timed" && (
         <div class="row">
           <NumberField label="Speed" unit="×" value={speed} least={0.1} most={2} onValue={setSpeed} />
-          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed })}>
-            Change
-          </button>
+          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed })}>Change</button>
         </div>
       )}
     </>
@@ -101,48 +99,28 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
   const [mode, setMode] = useState<Mode>("position");
   const [speed, setSpeed] = useState<number | null>(1);
   /** What the daemon found of this plan in this mode, and its number of the plan: no other one is flown. */
-  const [found, setFound] = useState<{ plan: string; report: Report } | null>(null);
+  const { busy, answer: found, error, run: work, show, clear } = useWork<{ plan: string; report: Report }>();
   const report = found?.report ?? null;
-  const [busy, setBusy] = useState(false);
-  const [error, setError] = useState<string | null>(null);
   const text = checked?.text ?? null;
-  const wanted = useRef(0);
-  useEffect(() => {
-    wanted.current++;
-    setFound(null);
-  }, [checked, mode, speed]);
+  useEffect(clear, [checked, mode, speed, clear]);
   const params = { mode, speed: speed ?? 1 };
   const targets = Object.keys(checked?.goals ?? {});
-  const examine = async (): Promise<void> => {
-    if (text === null || checked === null) return;
-    const mine = wanted.current;
-    setBusy(true);
-    setError(null);
-    try {
-      const given = await givenPlan(text, (part) => ask<{ upload: number }>(store, connection, "plan.upload", part));
-      const { plan } = await ask<{ plan: string }>(store, connection, "plan.load", { ...given, name: checked.name.slice(0, 64) });
-      const answer = await ask<Report>(store, connection, "plan.check", { plan, ...params });
-      if (mine === wanted.current) setFound({ plan, report: answer });
-    } catch (failed) {
-      setError(refusalText(failed));
-    }
-    setBusy(false);
-  };
+  const examine = (name: string, given: string): Promise<unknown> => work(async () => {
+    const parts = await givenPlan(given, (part) => ask<{ upload: number }>(store, connection, "plan.upload", part));
+    const { plan } = await ask<{ plan: string }>(store, connection, "plan.load", { ...parts, name: name.slice(0, 64) });
+    return { plan, report: await ask<Report>(store, connection, "plan.check", { plan, ...params }) };
+  });
   const run = async (more: { force?: boolean; set_return_heights?: boolean }): Promise<void> => {
     if (found === null) return;
     const { plan } = found;
     const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { plan, ...params, ...more }, targets };
-    const answer = await orderWith<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: after }) => ({
-      ok: started,
-      outcomes: {},
-      text: started ? null : after.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; "),
-    }));
-    if (answer !== null) setFound(answer.started ? null : { plan, report: answer.report });
+    const answer = await runOrder<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: after }) =>
+      said(started, after.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; ")));
+    if (answer !== null) show(answer.started ? null : { plan, report: answer.report });
   };
   if (checked === null) return status === null || status.state === "none" ? <p class="note">Open or make a plan to fly it.</p> : null;
   const whom = namesText(targets);
-  const heights = Object.entries(report?.return_heights ?? {})
-    .filter(([, [is, offered]]) => is !== offered)
+  const heights = Object.entries(report?.return_heights ?? {}).filter(([, [is, offered]]) => is !== offered)
     .map(([name, [, offered]]) => `${name} ${offered} m`);
   const insists = report !== null && !report.ok && report.findings.filter((one) => one.severity === "refused").every((one) => one.insist);
   return (
@@ -151,15 +129,13 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
         <Choice label="Flown by" value={mode} options={[["position", "position setpoints"], ["velocity", "velocity setpoints"], ["attitude", "attitude setpoints"]]} onValue={setMode} />
         <NumberField label="Speed" unit="×" value={speed} least={0.1} most={2} onValue={setSpeed} />
       </div>
-      <button type="button" disabled={!checked.ok || busy || text === null} onClick={() => void examine()}>
+      <button type="button" disabled={!checked.ok || busy || text === null} onClick={() => text !== null && void examine(checked.name, text)}>
         {busy ? "Checking with the fleet …" : "Check with the fleet"}
       </button>
       <Failure text={error} />
       {report !== null && <ReportView report={report} />}
       {report !== null && report.ok && (
-        <HoldButton targets={targets} what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>
-          Fly it
-        </HoldButton>
+        <HoldButton targets={targets} what={`Fly the plan with ${whom}: arms and takes off`} act={() => void run({})}>Fly it</HoldButton>
       )}
       {report !== null && !report.ok && heights.length > 0 && (
         <HoldButton targets={targets} what={`Set the return heights (${heights.join(", ")}) and fly the plan with ${whom}`} act={() => void run({ set_return_heights: true })}>
@@ -195,9 +171,7 @@ function ReportView({ report }: { report: Report }) {
         ))}
       </ul>
       {findings.length > shown.length && (
-        <button type="button" class="quiet" onClick={() => setAll(true)}>
-          {findings.length - shown.length} checks passed
-        </button>
+        <button type="button" class="quiet" onClick={() => setAll(true)}>{findings.length - shown.length} checks passed</button>
       )}
       {report.way_there?.closest != null && <p class="muted">On the way to the start: {approachText(report.way_there.closest)}</p>}
       {report.steps.length > 0 && <p class="muted">Steps: {report.steps.map((step) => step.name).join(", ")}</p>}

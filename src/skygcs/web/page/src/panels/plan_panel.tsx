@@ -5,13 +5,12 @@ import { toDecimetre } from "../format.ts";
 import { FRAME_UNKNOWN, frameIsKnown, frameKeyOf } from "../framed.ts";
 import { FrameNote } from "../order_parts.tsx";
 import { useFramed, useFrameKnown, useOverlay, useSelected, useStore } from "../hooks.ts";
-import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
-import { goalsTool, overlay } from "./drawing.ts";
+import { goalsTool, overlay } from "./drafts.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
-import { Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useTool, type FileContent } from "./parts.tsx";
+import { Check, Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useKept, useTool } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -32,25 +31,24 @@ const TABS: readonly { id: Source; title: string }[] = [
 ];
 
 /** It outlives the panel: another tab must not lose a plan. */
-let lastChecked: CheckedPlan | null = null;
-let lastSource: Source = "files";
+const CHECKED: { value: CheckedPlan | null } = { value: null };
+const SOURCE: { value: Source } = { value: "files" };
 
 export default function PlanPanel(props: PanelProps) {
   const { view } = props;
-  const [source, setSource] = useState<Source>(lastSource);
-  const [checked, setChecked] = useState<CheckedPlan | null>(lastChecked);
+  const [source, keepSource] = useKept(SOURCE);
+  const [checked, keepChecked] = useKept(CHECKED);
   const timeline = useMemo(() => (checked === null || checked.paths === null ? null : new PlanTimeline(checked.paths)), [checked]);
   const still = useMemo(() => (checked === null ? [] : planShapes(checked, timeline)), [checked, timeline]);
   const [t_s, setT] = useState(0);
   useOverlay(view, OVERLAY, useMemo(() => overlay(still, timeline === null ? [] : ghostShapes(timeline, t_s)), [still, timeline, t_s]));
   const take = (next: CheckedPlan | null): void => {
-    lastChecked = next;
-    setChecked(next);
+    keepChecked(next);
     setT(0);
   };
   return (
     <div class="panel planpanel">
-      <SubTabs label="Where it comes from" tabs={TABS} now={source} go={(id) => { lastSource = id as Source; setSource(lastSource); }} />
+      <SubTabs label="Where it comes from" tabs={TABS} now={source} go={(id) => keepSource(id as Source)} />
       {source === "files" && <FromFiles {...props} take={take} />}
       {source === "formation" && <FromFormation {...props} take={take} />}
       {source === "goals" && <FromGoals {...props} take={take} />}
@@ -76,26 +74,22 @@ function standingBut(state: State, names: readonly string[]): Record<string, Vec
 
 function FromFiles({ store, connection, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
-  const [unread, setUnread] = useState<string | null>(null);
+  const content = async (files: File[]): Promise<object> => {
+    const { origin } = store.state;
+    if (!frameIsKnown(store.state)) throw new Error(FRAME_UNKNOWN);
+    return { files: await Promise.all(files.map(contentOf)), standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) };
+  };
   const open = async (files: File[]): Promise<void> => {
-    setUnread(null);
-    try {
-      const content: FileContent[] = await Promise.all(files.map(contentOf));
-      const { origin } = store.state;
-      take(null);
-      if (!frameIsKnown(store.state)) throw new Error(FRAME_UNKNOWN);
-      const found = await check.run({ files: content, standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) });
-      if (found !== null) take(found);
-    } catch (error) {
-      setUnread(refusalText(error));
-    }
+    take(null);
+    const found = await check.run(content(files));
+    if (found !== null) take(found);
   };
   return (
     <>
       <DropZone label="Open a plan" several accept=".json,.skyc,.csv" onFiles={(files) => void open(files)} />
       <p class="muted">Plans of skygcs (.json), Skybrush shows (.skyc), paths or Crazyswarm trajectories (.csv, one or several).</p>
       {check.busy && <p class="note">Certifying …</p>}
-      <Failure text={unread ?? check.error} />
+      <Failure text={check.error} />
     </>
   );
 }
@@ -152,11 +146,7 @@ function FromFormation({ store, connection, view, take }: PanelProps & { take: (
   useOverlay(view, SHAPE_OVERLAY, ghosts);
   const tool = useTool(
     view,
-    () => ({
-      cursor: "crosshair",
-      hint: "Click: the middle of the formation.",
-      click: (at) => setMiddle([toDecimetre(at.x), toDecimetre(at.y)]),
-    }),
+    () => ({ cursor: "crosshair", hint: "Click: the middle of the formation.", click: (at) => setMiddle([toDecimetre(at.x), toDecimetre(at.y)]) }),
     "formation",
   );
   const plan = async (): Promise<void> => {
@@ -227,9 +217,7 @@ function FromGoals({ store, connection, view, take }: PanelProps & { take: (chec
           setHeight(value);
           setGoals((before) => new Map([...before].map(([name, [x, y]]) => [name, [x, y, value]])));
         }} />
-        <label class="check">
-          <input type="checkbox" checked={exchange} onChange={(event) => setExchange(event.currentTarget.checked)} /> vehicles may change places
-        </label>
+        <Check checked={exchange} onChecked={setExchange}>vehicles may change places</Check>
       </div>
       {goals.size > 0 && (
         <Scroll label="Goals" tall>
@@ -286,9 +274,7 @@ function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => voi
       <header class="row">
         <h3>{checked.name}</h3>
         <span class={checked.ok ? "verdict good" : "verdict failure"}>{checked.ok ? "certified" : "refused"}</span>
-        <button type="button" class="quiet" aria-label="Discard the plan" onClick={discard}>
-          ×
-        </button>
+        <button type="button" class="quiet" aria-label="Discard the plan" onClick={discard}>×</button>
       </header>
       <p>
         {checked.format}
@@ -296,16 +282,9 @@ function Judged({ checked, discard }: { checked: CheckedPlan; discard: () => voi
         {checked.paths !== null && `, ${checked.paths.duration_s.toFixed(1)} s`}
         {checked.attempts.length > 0 && `, ${checked.attempts.at(-1) ?? ""}`}
       </p>
-      {!checked.ok && (
-        <ul class="findings">
-          {checked.reasons.slice(0, 20).map((reason) => <li key={reason} data-verdict="fail">{reason}</li>)}
-        </ul>
-      )}
+      {!checked.ok && <ul class="findings">{checked.reasons.slice(0, 20).map((reason) => <li key={reason} data-verdict="fail">{reason}</li>)}</ul>}
       {certificate?.closest != null && (
-        <>
-          <p>Closest: {approachText(certificate.closest)}</p>
-          <Terms approach={certificate.closest} ratio={certificate.downwash_ratio} />
-        </>
+        <><p>Closest: {approachText(certificate.closest)}</p><Terms approach={certificate.closest} ratio={certificate.downwash_ratio} /></>
       )}
       {checked.paths?.exact === false && <p class="muted">Long: it is drawn by samples; the certificate is exact.</p>}
     </section>

@@ -9,7 +9,6 @@ export interface Approach {
   vehicles: readonly [string, string];
   distance_m: number;
   margin_m: number;
-  clearance_m: number;
   terms: Readonly<Record<string, Readonly<Record<string, number>>>>;
   places_m: readonly [Vec3, Vec3];
   t_s: number | null;
@@ -38,11 +37,7 @@ export interface CheckedPlan {
   attempts: readonly string[];
   goals: Readonly<Record<string, Vec3>>;
   paths: PlanPaths | null;
-  space?: {
-    fence: readonly (readonly [number, number])[];
-    boxes: readonly (readonly [Vec3, Vec3])[];
-    standing: Readonly<Record<string, Vec3>>;
-  };
+  space?: { fence: readonly (readonly [number, number])[]; boxes: readonly (readonly [Vec3, Vec3])[]; standing: Readonly<Record<string, Vec3>> };
   text: string | null;
 }
 

@@ -2,12 +2,11 @@
 
 import { useMemo, useState } from "preact/hooks";
 import { useOverlay } from "../hooks.ts";
-import { refusalText } from "../orders.ts";
 import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
 import type { Shape } from "../view/overlays.ts";
-import { overlay } from "./drawing.ts";
-import { contentOf, DropZone, Failure, useAsk } from "./parts.tsx";
+import { overlay } from "./drafts.ts";
+import { contentOf, DropZone, Failure, useAsk, useKept } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "position table";
@@ -21,8 +20,7 @@ export interface PositionTable {
   headings: boolean;
 }
 
-/** It outlives the panel. */
-let lastTable: PositionTable | null = null;
+const TABLE: { value: PositionTable | null } = { value: null };
 
 export interface Chosen {
   goals: ReadonlyMap<string, Vec3>;
@@ -54,24 +52,17 @@ export function tableShapes(table: PositionTable): Shape[] {
 }
 
 export function PositionTableLoader({ store, connection, view, take }: PanelProps & { take: (goals: ReadonlyMap<string, Vec3>) => void }) {
-  const [table, setTable] = useState(lastTable);
+  const [table, keep] = useKept(TABLE);
   const [problem, setProblem] = useState<string | null>(null);
   const check = useAsk<PositionTable>(store, connection, "web.positions.check");
   useOverlay(view, OVERLAY, useMemo(() => (table === null ? null : overlay(tableShapes(table))), [table]));
-  const keep = (next: PositionTable | null): void => {
-    lastTable = next;
-    setTable(next);
-  };
+  const content = async (file: File): Promise<object> => ({ file: await contentOf(file) });
   const open = async ([file]: File[]): Promise<void> => {
     if (file === undefined) return;
     setProblem(null);
     keep(null);
-    try {
-      const found = await check.run({ file: await contentOf(file) });
-      if (found !== null) keep(found);
-    } catch (error) {
-      setProblem(refusalText(error));
-    }
+    const found = await check.run(content(file));
+    if (found !== null) keep(found);
   };
   const use = (which: Which): void => {
     if (table === null) return;

@@ -38,7 +38,6 @@ export interface PreflightStatus {
   state: string;
   required: boolean;
   age_s: number | null;
-  valid_s: number | null;
   refusal: string | null;
   report: Report | null;
 }
@@ -51,7 +50,10 @@ export interface Matrix {
   skipped: readonly string[];
   /** Vehicles that were not examined since the daemon started. */
   never: readonly string[];
+  /** They may be armed as far as the preflight says. */
   ready: number;
+  /** Their pass is too old to count. */
+  expired: readonly string[];
 }
 
 export interface MatrixRow {
@@ -63,6 +65,7 @@ export interface MatrixRow {
 /** All vehicles by all checks: checks that somebody failed stand first, and vehicles that failed most. */
 export function matrixOf(statuses: Readonly<Record<string, PreflightStatus>>): Matrix {
   const examined = Object.entries(statuses).flatMap(([name, { report }]) => (report === null ? [] : [[name, report] as const]));
+  const named = (state: string): string[] => Object.keys(statuses).filter((name) => statuses[name]?.state === state);
   const byCheck = new Map<string, Map<string, Finding>>();
   for (const [name, { findings }] of examined) {
     for (const finding of findings) {
@@ -78,7 +81,8 @@ export function matrixOf(statuses: Readonly<Record<string, PreflightStatus>>): M
     rows: [...byCheck].filter(([, findings]) => applies(findings)).map(([check, findings]) => ({ check, findings })).sort((a, b) => badness(b.findings.values()) - badness(a.findings.values())),
     skipped: [...byCheck].filter(([, findings]) => !applies(findings)).map(([check]) => check),
     never: Object.keys(statuses).filter((name) => statuses[name]?.report === null),
-    ready: examined.filter(([, { ok }]) => ok).length,
+    ready: named("passed").length,
+    expired: named("expired"),
   };
 }
 

@@ -1,6 +1,7 @@
-// Figures of a radio: rates from counters, the radio's reports as rows of a chart.
+// Figures of a radio: rates from counters, its reports as rows of a chart; and corrections as a person reads them. Pure.
 
-import { RateMeter } from "./history_ring.ts";
+import { ageText, fixed } from "../format.ts";
+import { RateMeter } from "./histories.ts";
 
 /** One RADIO_STATUS. */
 export interface RadioReport {
@@ -25,7 +26,6 @@ export interface ClassCounters {
   replaced: number;
   dropped: number;
   refused: number;
-  wait_p50_s: number | null;
   wait_p95_s: number | null;
 }
 
@@ -55,8 +55,65 @@ export class ClassRates {
   }
 }
 
-/** 12,345 with thin spaces. */
-export function countText(count: number | null | undefined): string {
-  if (count === null || count === undefined) return "–";
-  return String(count).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
+export interface Survey {
+  state: "setting_up" | "surveying" | "surveyed" | "fixed";
+  duration_s: number | null;
+  minimum_s: number | null;
+  accuracy_m: number | null;
+  wanted_m: number | null;
+}
+
+export interface OwnSource {
+  kind: string;
+  name: string;
+  state: string;
+  text: string;
+  bytes_per_s: number;
+  age_s: number | null;
+  survey?: Survey | null;
+}
+
+/** What corrections.status answers, as far as the page shows it. */
+export interface Corrections {
+  source: string | null;
+  age_s: number | null;
+  bytes_per_s: number;
+  messages: number;
+  vehicles: readonly { name: string; fix: string | null; satellites: number | null }[];
+  rtk_float: number;
+  rtk_fixed: number;
+  own_source: OwnSource | null;
+}
+
+/** Corrections help for some ten seconds; a base sends them once a second. */
+const OLD_S = 10;
+
+/** Something is to be shown of them: a source is set up, or a program sends some. */
+export function areThere({ own_source, source }: Corrections): boolean {
+  return own_source !== null || source !== null;
+}
+
+/** Where they come from, in one line; and whether that is as it should be. */
+export function sourceText({ own_source, source, age_s, bytes_per_s }: Corrections): { text: string; ok: boolean } {
+  const name = own_source?.name ?? source ?? "no source";
+  const state = own_source === null ? "" : `, ${own_source.state.replaceAll("_", " ")}`;
+  const trouble = own_source === null || own_source.text === "" ? "" : `: ${own_source.text}`;
+  const flow = age_s === null ? ", nothing came yet" : `, ${fixed(bytes_per_s, 0) ?? "?"} B/s, the last ${ageText(age_s)} ago`;
+  return { text: name + state + flow + trouble, ok: age_s !== null && age_s < OLD_S && trouble === "" };
+}
+
+/** "surveying, 40 of 120 s, 1.8 m of 2.0 m wanted" */
+export function surveyText(survey: Survey | null | undefined): string | null {
+  if (survey == null) return null;
+  const { state, duration_s, minimum_s, accuracy_m, wanted_m } = survey;
+  if (state === "fixed") return "at a fixed position";
+  const time = duration_s === null ? "" : `, ${fixed(duration_s, 0) ?? "?"}${minimum_s === null ? "" : ` of ${fixed(minimum_s, 0) ?? "?"}`} s`;
+  const spread = accuracy_m === null ? "" : `, ${fixed(accuracy_m, 1) ?? "?"} m${wanted_m === null ? "" : ` of ${fixed(wanted_m, 1) ?? "?"} m wanted`}`;
+  return state.replaceAll("_", " ") + time + spread;
+}
+
+/** "2 fixed, 1 float, 3 neither" */
+export function fixesText({ vehicles, rtk_fixed, rtk_float }: Corrections): string {
+  const others = vehicles.length - rtk_fixed - rtk_float;
+  return `${rtk_fixed} fixed, ${rtk_float} float${others > 0 ? `, ${others} neither` : ""}`;
 }

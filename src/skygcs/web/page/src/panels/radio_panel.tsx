@@ -3,13 +3,12 @@
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useReducer, useRef } from "preact/hooks";
-import { fixed, percentText } from "../format.ts";
+import { countText, fixed, percentText } from "../format.ts";
 import type { Link } from "../link_hints.ts";
 import { Chart } from "./chart.tsx";
-import { areThere, fixesText, sourceText, surveyText, type Corrections } from "./corrections_text.ts";
-import { HistoryRing } from "./history_ring.ts";
+import { areThere, type ClassCounters, ClassRates, type Corrections, fixesText, type RadioReport, REPORT_SERIES, reportRow, sourceText, surveyText } from "./radio_figures.ts";
+import { HistoryRing } from "./histories.ts";
 import { Failure, PlainTable, Scroll, usePolled } from "./parts.tsx";
-import { ClassRates, REPORT_SERIES, countText, reportRow, type ClassCounters, type RadioReport } from "./radio_figures.ts";
 import type { PanelProps } from "./registry.ts";
 
 interface RadioVehicle {
@@ -30,7 +29,7 @@ interface ThirdParty {
   sources: readonly { source: string; age_s: number; sent: number; sent_bytes: number; counts: Readonly<Record<string, number>> }[];
 }
 
-interface Radio {
+export interface Radio {
   link: string;
   peer: string;
   vehicles: readonly RadioVehicle[];
@@ -127,10 +126,7 @@ function RadioView({ radio, atMs }: { radio: Radio; atMs: number }) {
       </div>
       <div class="columns">
         <Reports radio={radio} reports={own.reports} />
-        <div>
-          <Classes classes={up.classes} rates={own.classes} />
-          <Others third={up.third_party} />
-        </div>
+        <div><Classes classes={up.classes} rates={own.classes} /><Others third={up.third_party} /></div>
       </div>
       <Vehicles vehicles={radio.vehicles} each={down.per_vehicle_bytes_per_s} />
     </section>
@@ -243,13 +239,7 @@ function bytes(value: number): string {
 }
 
 function Bar({ title, value, most, mark, children }: { title: string; value: number | null; most: number; mark: number; children: ComponentChildren }) {
-  return (
-    <div class="bar">
-      <span>{title}</span>
-      <Meter value={value} most={most} mark={mark} />
-      <span class="muted">{children}</span>
-    </div>
-  );
+  return <div class="bar"><span>{title}</span><Meter value={value} most={most} mark={mark} /><span class="muted">{children}</span></div>;
 }
 
 /** How much of a budget is used; a line where it is planned to be. */

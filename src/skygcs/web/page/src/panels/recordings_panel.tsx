@@ -2,7 +2,8 @@
 
 import { useState } from "preact/hooks";
 import { useStore } from "../hooks.ts";
-import { mayOrder, orderWith, type Reader } from "./calls.ts";
+import { runOrder } from "../orders.ts";
+import { mayOrder } from "./calls.ts";
 import { Failure, PlainTable, Scroll, usePolled, type PlainColumn } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 import { clockText } from "./replay_time.ts";
@@ -25,7 +26,6 @@ const EVERY_MS = 5_000;
 /** The page of a replay is served on the station's own computer alone. */
 const LOOPBACK = new Set(["localhost", "127.0.0.1", "[::1]"]);
 
-const done: Reader<unknown> = () => ({ ok: true, outcomes: {}, text: null });
 
 export default function RecordingsPanel({ store, connection }: PanelProps) {
   const { answer, error, again } = usePolled<Listed>(store, connection, "recordings.list", {}, EVERY_MS);
@@ -34,13 +34,13 @@ export default function RecordingsPanel({ store, connection }: PanelProps) {
   const [starting, setStarting] = useState<string | null>(null);
   const replay = async (name: string): Promise<void> => {
     setStarting(name);
-    setOpened(await orderWith<{ name: string; address: string }>(store, connection, { label: `Replay ${name}`, method: "recordings.replay", params: { name }, targets: [] }, done));
+    setOpened(await runOrder<{ name: string; address: string }>(store, connection, { label: `Replay ${name}`, method: "recordings.replay", params: { name }, targets: [] }));
     setStarting(null);
     again();
   };
   const end = async (): Promise<void> => {
     setOpened(null);
-    await orderWith(store, connection, { label: "End the replay", method: "recordings.end", params: {}, targets: [] }, done);
+    await runOrder(store, connection, { label: "End the replay", method: "recordings.end", params: {}, targets: [] });
     again();
   };
   if (answer === null) return error === null ? <p class="note">Asking …</p> : <Failure text={error} />;

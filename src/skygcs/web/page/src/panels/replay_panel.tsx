@@ -3,8 +3,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { useTick } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
-import { clockText, placeAt, type ReplayInfo } from "./replay_time.ts";
-import { markAfter, markBefore, type Mark } from "./replay_marks.ts";
+import { clockText, type Mark, markAfter, markBefore, placeAt, type ReplayInfo } from "./replay_time.ts";
 import { severityOf } from "./event_severity.ts";
 import { Failure } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
@@ -73,9 +72,7 @@ function useReplay(connection: PanelProps["connection"]) {
     );
   };
   useEffect(() => {
-    const ask = (): void => {
-      connection.call<ReplayInfo>("replay.info").then(take, (failed: unknown) => setError(refusalText(failed)));
-    };
+    const ask = (): void => { connection.call<ReplayInfo>("replay.info").then(take, (failed: unknown) => setError(refusalText(failed))); };
     ask();
     const undo = [connection.on<ReplayInfo>("replay.position", take), connection.onPhase((phase) => phase.kind === "open" && ask())];
     return () => undo.forEach((each) => each());

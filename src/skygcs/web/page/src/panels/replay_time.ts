@@ -1,4 +1,6 @@
-// The clock of a recording between two reports of the ground station. Pure.
+// The clock of a recording between two reports of the ground station, and the events that are marked on its bar. Pure.
+
+import type { FleetEvent } from "../types.ts";
 
 export interface ReplayInfo {
   file: string;
@@ -25,4 +27,18 @@ export function clockText(seconds: number): string {
   const [hours, minutes, left] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
   const two = (value: number): string => String(value).padStart(2, "0");
   return `${hours > 0 ? `${hours}:${two(minutes)}` : minutes}:${two(left)}.${rest}`;
+}
+
+export interface Mark {
+  at_s: number;
+  event: FleetEvent;
+}
+
+/** The last one that is not after a time. `marks` are in the order of time. */
+export function markBefore(marks: readonly Mark[], at_s: number): Mark | null {
+  return marks.filter((mark) => mark.at_s <= at_s).at(-1) ?? null;
+}
+
+export function markAfter(marks: readonly Mark[], at_s: number): Mark | null {
+  return marks.find((mark) => mark.at_s > at_s) ?? null;
 }

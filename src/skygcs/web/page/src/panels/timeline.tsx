@@ -44,9 +44,7 @@ export function Timeline({ timeline, phases, downwashRatio, t_s, setT }: { timel
           {playing ? "Pause" : "Play"}
         </button>
         <Choice label="Speed" value={speed} options={SPEEDS} onValue={setSpeed} />
-        <output>
-          {t_s.toFixed(1)} of {timeline.duration_s.toFixed(1)} s
-        </output>
+        <output>{t_s.toFixed(1)} of {timeline.duration_s.toFixed(1)} s</output>
       </div>
       <input
         type="range"
@@ -61,11 +59,7 @@ export function Timeline({ timeline, phases, downwashRatio, t_s, setT }: { timel
           setT(event.currentTarget.valueAsNumber);
         }}
       />
-      {closest !== null && (
-        <p class="muted">
-          closest now: {closest.pair.join(" and ")}, {closest.distance_m.toFixed(1)} m
-        </p>
-      )}
+      {closest !== null && <p class="muted">closest now: {closest.pair.join(" and ")}, {closest.distance_m.toFixed(1)} m</p>}
       {phases.length > 0 && <p class="muted">Phases: {phases.join(", ")}</p>}
     </section>
   );

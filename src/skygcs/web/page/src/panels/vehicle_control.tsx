@@ -4,21 +4,16 @@ import { useEffect, useState } from "preact/hooks";
 import { fixed } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore, useTick } from "../hooks.ts";
-import { sendOrder } from "../orders.ts";
-import { ask, mayOrder, orderWith } from "./calls.ts";
+import { runOrder, sendOrder } from "../orders.ts";
+import { mayOrder } from "./calls.ts";
 import { Chart } from "./chart.tsx";
 import { histories } from "./histories.ts";
-import { Facts, Failure, NumberField } from "./parts.tsx";
-import { refusalText } from "../orders.ts";
+import { Facts, Failure, NumberField, useAsk } from "./parts.tsx";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 import { isControlled, isFlown, isHeld } from "../setpoint_orders.ts";
 import type { Outcome } from "../types.ts";
 
-const MODES = [
-  ["position", "Position"],
-  ["velocity", "Velocity"],
-  ["attitude", "Attitude"],
-] as const;
+const MODES = [["position", "Position"], ["velocity", "Velocity"], ["attitude", "Attitude"]] as const;
 
 export function VehicleControl(props: VehicleProps) {
   const { store, connection, name } = props;
@@ -40,23 +35,14 @@ export function VehicleControl(props: VehicleProps) {
       {orders && (
         <div class="row">
           {MODES.map(([mode, title]) => (
-            <HoldButton key={mode} targets={[name]} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>
-              {title}
-            </HoldButton>
+            <HoldButton key={mode} targets={[name]} what={`Fly ${name} by ${mode} setpoints`} act={() => order(mode)}>{title}</HoldButton>
           ))}
-          <button type="button" disabled={!isControlled(vehicle)} onClick={() => order("off")}>
-            Off
-          </button>
+          <button type="button" disabled={!isControlled(vehicle)} onClick={() => order("off")}>Off</button>
         </div>
       )}
       <Chart
         title="Error, m"
-        curves={[
-          { label: "distance", colour: 2 },
-          { label: "x", colour: 1 },
-          { label: "y", colour: 3 },
-          { label: "up", colour: 5 },
-        ]}
+        curves={[{ label: "distance", colour: 2 }, { label: "x", colour: 1 }, { label: "y", colour: 3 }, { label: "up", colour: 5 }]}
         columns={() => errors.columns()}
         version={errors.version}
         heightPx={160}
@@ -112,7 +98,6 @@ interface GainsOf {
   xy: AxisGains;
   z: AxisGains;
   hover_thrust: number;
-  limits: Readonly<Record<string, number>>;
 }
 
 interface GainsAnswer {
@@ -123,35 +108,21 @@ interface GainsAnswer {
 const GAIN_WORDS: Readonly<Record<string, string>> = { pos_p_per_s: "place P", vel_p: "speed P", vel_i: "speed I", vel_d: "speed D" };
 
 function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: boolean }) {
-  const [gains, setGains] = useState<GainsOf | null>(null);
-  const [error, setError] = useState<string | null>(null);
+  const { answer, error, run, show } = useAsk<GainsAnswer>(store, connection, "control.gains");
+  const gains = answer?.gains[name] ?? null;
   const [changes, setChanges] = useState<Readonly<Record<string, number>>>({});
   const change = (key: string) => (typed: number | null): void => {
     const now = typed === null ? [] : [[key, typed] as const]; // what is no number is no change
     setChanges((before) => Object.fromEntries([...Object.entries(before).filter(([other]) => other !== key), ...now]));
   };
-  useEffect(() => {
-    if (!enabled) return undefined;
-    let here = true;
-    ask<GainsAnswer>(store, connection, "control.gains", { targets: [name] }).then(
-      (answer) => here && setGains(answer.gains[name] ?? null),
-      (failed: unknown) => here && setError(refusalText(failed)),
-    );
-    return () => {
-      here = false;
-    };
-  }, [store, connection, name, enabled]);
+  useEffect(() => { if (enabled) void run({ targets: [name] }); }, [run, name, enabled]);
   if (gains === null) return <Failure text={error} />;
   const changed = Object.entries(changes).filter(([key, value]) => value !== valueAt(gains, key));
   const apply = async (): Promise<void> => {
     const request = { label: `Set ${changed.length} gains`, method: "control.gains", params: { targets: [name], ...nested(changed) }, targets: [name] };
-    const answer = await orderWith<GainsAnswer>(store, connection, request, ({ outcomes }) => ({
-      ok: Object.values(outcomes).every((one) => one.ok),
-      outcomes,
-      text: null,
-    }));
-    if (answer === null) return;
-    setGains(answer.gains[name] ?? null);
+    const set = await runOrder<GainsAnswer>(store, connection, request);
+    if (set === null) return;
+    show(set);
     setChanges({});
   };
   return (
@@ -174,20 +145,12 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
           </fieldset>
         ))}
       </div>
-      <NumberField
-        label="hover thrust"
-        value={changes["hover_thrust"] ?? gains.hover_thrust}
-        least={0}
-        most={1}
-        onValue={change("hover_thrust")}
-      />
+      <NumberField label="hover thrust" value={changes["hover_thrust"] ?? gains.hover_thrust} least={0} most={1} onValue={change("hover_thrust")} />
       <div class="row">
         <HoldButton targets={[name]} what={`Set ${changed.length} gains of ${name}`} disabled={changed.length === 0} act={() => void apply()}>
           Set gains
         </HoldButton>
-        <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>
-          Discard
-        </button>
+        <button type="button" disabled={Object.keys(changes).length === 0} onClick={() => setChanges({})}>Discard</button>
       </div>
     </section>
   );

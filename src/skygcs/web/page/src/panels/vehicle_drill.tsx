@@ -1,7 +1,7 @@
 // Faults that a simulated vehicle may be given, to practise.
 
 import { useState } from "preact/hooks";
-import { beginFault, endFault, STATUS, STATUS_EVERY_MS, type ActiveFault, type DrillFault, type DrillsStatus } from "../drills.ts";
+import { beginFault, endFault, STATUS, STATUS_EVERY_MS, type ActiveFault, type DrillFault, type DrillsStatus } from "../drill_bar.tsx";
 import { namesText } from "../format.ts";
 import { useStore } from "../hooks.ts";
 import { mayOrder } from "./calls.ts";

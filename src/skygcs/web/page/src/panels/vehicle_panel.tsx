@@ -8,10 +8,9 @@ import type { PanelProps } from "./registry.ts";
 import { VehicleDrill } from "./vehicle_drill.tsx";
 import { VehicleControl } from "./vehicle_control.tsx";
 import { VehicleHistory, VehicleLinks } from "./vehicle_history.tsx";
-import { VehicleMessages } from "./vehicle_messages.tsx";
+import { VehicleFields, VehicleMessages, VehicleTexts } from "./vehicle_state.tsx";
 import { VehicleParams } from "./vehicle_params.tsx";
 import { VehiclePreflight } from "./vehicle_preflight.tsx";
-import { VehicleFields, VehicleTexts } from "./vehicle_state.tsx";
 
 /** What each part of the panel gets. */
 export interface VehicleProps extends PanelProps {
@@ -39,9 +38,7 @@ export default function VehiclePanel(props: PanelProps) {
   const drills = useStore(store, (state) => state.daemon?.drills === true);
   const [tab, setTab] = useState("state");
   const name = shown ?? (names.length === 1 ? (names[0] ?? null) : null);
-  if (name === null) {
-    return <p class="note">{names.length === 0 ? "No vehicle was heard yet." : "Select a vehicle in the table or on the view."}</p>;
-  }
+  if (name === null) return <p class="note">{names.length === 0 ? "No vehicle was heard yet." : "Select a vehicle in the table or on the view."}</p>;
   const each: VehicleProps = { ...props, name };
   return (
     <div class="panel vehiclepanel">
@@ -72,10 +69,7 @@ function VehicleHead({ store, name }: VehicleProps) {
   return (
     <header class={heard ? "vehiclehead" : "vehiclehead lost"}>
       <h2>{vehicle.name}</h2>
-      <p class="muted">
-        system {vehicle.sysid} · {vehicle.autopilot} {vehicle.type}
-        {vehicle.firmware === null ? "" : ` · ${vehicle.firmware}`}
-      </p>
+      <p class="muted">system {vehicle.sysid} · {vehicle.autopilot} {vehicle.type}{vehicle.firmware === null ? "" : ` · ${vehicle.firmware}`}</p>
       <p>
         <b>{vehicle.mode ?? "mode not known"}</b> · {vehicle.armed === null ? "armed or not is not known" : vehicle.armed ? "armed" : "disarmed"} ·{" "}
         {vehicle.landed.replace("_", " ")}

@@ -4,11 +4,10 @@
 import { useRef, useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
 import { useChanges, useStore } from "../hooks.ts";
-import { refusalText } from "../orders.ts";
-import { ask, mayOrder, orderWith, type Reader } from "./calls.ts";
-import { contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
-import { aboutText, matches, meaningText, outsideText, parseValue, rangeText, sameValue, valueText, type ParamEntry, type ParamMetadata } from "./param_values.ts";
-import { paramBooks, type ParamBook } from "./param_books.ts";
+import { refusalText, runOrder } from "../orders.ts";
+import { ask, mayOrder, readParams } from "./calls.ts";
+import { Check, contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
+import { aboutText, matches, meaningText, outsideText, type ParamBook, paramBooks, type ParamEntry, type ParamMetadata, parseValue, rangeText, sameValue, valueText } from "./param_values.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
 const SHOWN = 150;
@@ -22,8 +21,6 @@ interface MetadataAnswer {
 }
 
 interface ParamStatus {
-  known: number;
-  complete: boolean;
   loading: { received: number; count: number | null; percent: number | null; remaining_s: number | null } | null;
 }
 
@@ -60,11 +57,7 @@ export function VehicleParams(props: VehicleProps) {
         <button type="button" class={book.params.length === 0 ? "primary" : ""} disabled={!orders || book.reading} onClick={() => void read()}>
           {book.reading ? "Reading …" : book.params.length === 0 ? "Read all" : "Read again"}
         </button>
-        {book.reading && (
-          <button type="button" onClick={() => void cancel()}>
-            Cancel
-          </button>
-        )}
+        {book.reading && <button type="button" onClick={() => void cancel()}>Cancel</button>}
         {book.params.length > 0 && (
           <button type="button" onClick={() => keepFile(`${name}.param`, book.params.map((one) => `${one.name},${valueText(one.value)}\n`).join(""))}>
             Save to file
@@ -79,9 +72,7 @@ export function VehicleParams(props: VehicleProps) {
         <>
           <div class="row">
             <input type="search" placeholder="Search: words, or MPC_*" aria-label="Search parameters" value={search} onInput={(event) => setSearch(event.currentTarget.value)} />
-            <label class="check">
-              <input type="checkbox" checked={onlyChanged} onChange={(event) => setOnlyChanged(event.currentTarget.checked)} /> changed
-            </label>
+            <Check checked={onlyChanged} onChecked={setOnlyChanged}>changed</Check>
           </div>
           <Edits {...props} book={book} keep={keep} enabled={orders} />
           <FileDifference {...props} book={book} keep={keep} />
@@ -156,7 +147,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
     const params = Object.fromEntries(book.edits);
     const label = book.edits.size === 1 ? `Set ${[...book.edits.keys()].join()}` : `Set ${book.edits.size} parameters`;
     const request = { label, method: "params.set", params: { targets: [name], params, force }, targets: [name] };
-    const answer = await orderWith<SetAnswer>(store, connection, request, readSet(name));
+    const answer = await runOrder<SetAnswer>(store, connection, request, ({ outcomes }) => readParams(outcomes[name] ?? {}));
     const outcomes = answer?.outcomes[name];
     if (outcomes !== undefined) keep((before) => afterSet(before, outcomes));
     setInsisting(false);
@@ -183,29 +174,15 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
           </li>
         ))}
       </ul>
-      {outside.length > 0 && (
-        <label class="check">
-          <input type="checkbox" checked={insisting} onChange={(event) => setInsisting(event.currentTarget.checked)} /> set what is outside its range all the same
-        </label>
-      )}
+      {outside.length > 0 && <Check checked={insisting} onChecked={setInsisting}>set what is outside its range all the same</Check>}
       <div class="row">
         <HoldButton targets={[name]} what={`Set ${book.edits.size} parameters of ${name}`} disabled={!enabled || busy} act={() => void apply()}>
           {busy ? "Setting …" : `Set ${book.edits.size}`}
         </HoldButton>
-        <button type="button" onClick={() => keep((before) => ({ ...before, edits: new Map() }))}>
-          Discard
-        </button>
+        <button type="button" onClick={() => keep((before) => ({ ...before, edits: new Map() }))}>Discard</button>
       </div>
     </section>
   );
-}
-
-function readSet(name: string): Reader<SetAnswer> {
-  return (answer) => {
-    const of = answer.outcomes[name] ?? {};
-    const outcomes = Object.fromEntries(Object.entries(of).map(([param, { ok, result, message }]) => [param, { ok, result, message }]));
-    return { ok: Object.values(of).every((one) => one.ok), outcomes, text: null };
-  };
 }
 
 /** What the vehicle now reports takes the place of what was known; what it took is no edit any more. */
@@ -239,11 +216,7 @@ function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: read
           ["unit", (one) => book.metadata[one.name]?.unit ?? "", "muted"],
         ]} />
       {rows.length === 0 && <p class="note">No parameter of that name.</p>}
-      {rows.length > most && (
-        <button type="button" onClick={() => setMost(most + SHOWN)}>
-          {rows.length - most} more
-        </button>
-      )}
+      {rows.length > most && <button type="button" onClick={() => setMost(most + SHOWN)}>{rows.length - most} more</button>}
     </>
   );
 }
@@ -297,33 +270,20 @@ function ValueField({ param, known, edited, edit }: { param: ParamEntry; known: 
 
 function FileDifference({ store, connection, book, keep }: VehicleProps & { book: ParamBook; keep: (change: (book: ParamBook) => ParamBook) => void }) {
   const check = useAsk<ParamsDifference>(store, connection, "web.params.check");
-  const [unread, setUnread] = useState<string | null>(null);
   const latest = useRef(book);
   latest.current = book;
-  const compare = async (files: File[]): Promise<void> => {
-    const [file] = files;
-    if (file === undefined) return;
-    try {
-      const { params, sysid, compid, autopilot } = latest.current;
-      setUnread(null);
-      await check.run({ file: await contentOf(file), params, sysid, compid, autopilot });
-    } catch (error) {
-      setUnread(refusalText(error));
-    }
+  const compare = async ([file]: File[]): Promise<object> => {
+    const { params, sysid, compid, autopilot } = latest.current;
+    return { file: file === undefined ? null : await contentOf(file), params, sysid, compid, autopilot };
   };
   const found = check.answer;
   return (
     <>
-      <DropZone label="Compare with a file" accept=".params,.param,.parm,.txt" onFiles={(files) => void compare(files)} />
-      <Failure text={unread ?? check.error} />
+      <DropZone label="Compare with a file" accept=".params,.param,.parm,.txt" onFiles={(files) => void check.run(compare(files))} />
+      <Failure text={check.error} />
       {found !== null && (
         <section class="card" aria-label={`Compared with ${found.name}`}>
-          <header class="row">
-            <h3>{found.name}</h3>
-            <button type="button" class="quiet" aria-label="Close" onClick={check.clear}>
-              ×
-            </button>
-          </header>
+          <header class="row"><h3>{found.name}</h3><button type="button" class="quiet" aria-label="Close" onClick={check.clear}>×</button></header>
           <p class="muted">{found.changes.length} of {found.entries} differ, {found.same} are the same</p>
           {[...found.warnings, ...found.problems].map((text) => <p key={text} class="failure">{text}</p>)}
           {found.unknown.length > 0 && <p class="muted">{found.unknown.length} that the vehicle does not have: {found.unknown.slice(0, 8).join(", ")}</p>}

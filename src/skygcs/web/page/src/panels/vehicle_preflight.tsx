@@ -2,11 +2,13 @@
 
 import { useState } from "preact/hooks";
 import { HoldButton } from "../hold_button.tsx";
+import { toggled } from "../format.ts";
 import { useStore } from "../hooks.ts";
-import { mayOrder, orderWith } from "./calls.ts";
-import { Failure, useAsk, usePolled } from "./parts.tsx";
+import { runOrder } from "../orders.ts";
+import { mayOrder, readParams } from "./calls.ts";
+import { Age, Check, Failure, useAsk, usePolled } from "./parts.tsx";
 import { valueText } from "./param_values.ts";
-import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus, type Report } from "./preflight_report.ts";
+import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus } from "./preflight_report.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
 export function VehiclePreflight({ store, connection, name }: VehicleProps) {
@@ -19,12 +21,8 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
   const chosen = (report?.fixes ?? []).filter((fix) => !left.has(fix.name));
   const fix = async (): Promise<void> => {
     const confirmed = { [name]: Object.fromEntries(chosen.map((one) => [one.name, one.value])) };
-    await orderWith<PreflightAnswer>(
-      store,
-      connection,
-      { label: `Set ${chosen.length} parameters`, method: "preflight.run", params: { targets: [name], fix: true, confirmed }, targets: [name] },
-      (answer) => readFixed(answer.vehicles[name]),
-    );
+    const request = { label: `Set ${chosen.length} parameters`, method: "preflight.run", params: { targets: [name], fix: true, confirmed }, targets: [name] };
+    await runOrder<PreflightAnswer>(store, connection, request, ({ vehicles }) => readParams(vehicles[name]?.fixed ?? {}, vehicles[name]?.unfixed));
     run.clear();
     status.again();
   };
@@ -32,14 +30,15 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
     <>
       <div class="row">
         <p>
-          {here === null ? "" : here.state === "never" ? "Not examined since it started." : `Preflight ${here.state}.`}
+          {here === null ? "" : here.state === "never" ? "Not examined since it started." : <>Preflight {here.state}, <Age age_s={here.age_s} old_s={Infinity} /> ago.</>}
           {here?.required === true ? " A pass is required to arm." : ""}
         </p>
-        <button type="button" class="primary" disabled={!orders || run.busy} onClick={() => void run.run({ targets: [name] })}>
+        <button type="button" class="primary" disabled={!orders || run.busy} onClick={() => void run.run({ targets: [name] }).then(status.again)}>
           {run.busy ? "Examining …" : "Examine"}
         </button>
       </div>
       <Failure text={run.error ?? status.error} />
+      {here?.refusal != null && <p class="failure">An order to arm is refused: {here.refusal}</p>}
       {report !== null && (
         <>
           <p class={report.ok ? "good" : "failure"}>{report.summary}</p>
@@ -71,28 +70,10 @@ function Fixes({ fixes, left, setLeft }: { fixes: readonly Fix[]; left: Readonly
     <fieldset class="card">
       <legend>Parameters that would mend it</legend>
       {fixes.map((fix) => (
-        <label key={fix.name} class="check">
-          <input
-            type="checkbox"
-            checked={!left.has(fix.name)}
-            onChange={(event) => {
-              const next = new Set(left);
-              if (event.currentTarget.checked) next.delete(fix.name);
-              else next.add(fix.name);
-              setLeft(next);
-            }}
-          />
+        <Check key={fix.name} checked={!left.has(fix.name)} onChecked={() => setLeft(toggled(left, fix.name))}>
           <code>{fix.name}</code> {valueText(fix.before)} → <b>{valueText(fix.value)}</b>
-        </label>
+        </Check>
       ))}
     </fieldset>
   );
-}
-
-function readFixed(report: Report | undefined): { ok: boolean; outcomes: Record<string, { ok: boolean; result: string; message: string }>; text: string | null } {
-  const outcomes = Object.fromEntries(
-    Object.entries(report?.fixed ?? {}).map(([param, { ok, message }]) => [param, { ok, result: ok ? "accepted" : "failed", message }]),
-  );
-  const unfixed = report?.unfixed ?? "";
-  return { ok: unfixed === "" && Object.values(outcomes).every((one) => one.ok), outcomes, text: unfixed === "" ? null : unfixed };
 }

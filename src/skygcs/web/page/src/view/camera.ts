@@ -29,10 +29,7 @@ export function toScreenY(camera: Camera, y: number): number {
 }
 
 export function toWorld(camera: Camera, xPx: number, yPx: number): { x: number; y: number } {
-  return {
-    x: camera.x + (xPx - camera.widthPx / 2) / camera.pxPerM,
-    y: camera.y - (yPx - camera.heightPx / 2) / camera.pxPerM,
-  };
+  return { x: camera.x + (xPx - camera.widthPx / 2) / camera.pxPerM, y: camera.y - (yPx - camera.heightPx / 2) / camera.pxPerM };
 }
 
 export function panned(camera: Camera, dxPx: number, dyPx: number): Camera {
@@ -55,12 +52,7 @@ export function fitted(camera: Camera, bounds: Bounds, topPx = 0, marginPx = 64,
   const overPx = Math.max(topPx - marginPx, 0);
   const roomY = Math.max(camera.heightPx - 2 * marginPx - overPx, camera.heightPx / 2);
   const pxPerM = clamp(Math.min(roomX / width, roomY / height), LEAST_PX_PER_M, MOST_PX_PER_M);
-  return {
-    ...camera,
-    x: (bounds.left + bounds.right) / 2,
-    y: (bounds.bottom + bounds.top + overPx / pxPerM) / 2,
-    pxPerM,
-  };
+  return { ...camera, x: (bounds.left + bounds.right) / 2, y: (bounds.bottom + bounds.top + overPx / pxPerM) / 2, pxPerM };
 }
 
 export function extended(bounds: Bounds | null, x: number, y: number, byM = 0): Bounds {

@@ -8,9 +8,8 @@ import type { Frame } from "./frame.ts";
 import { leaderOf, type Box, type Placement } from "./labels.ts";
 import { MAX_POINTS, type Overlay, type Shape } from "./overlays.ts";
 import type { Palette } from "./palette.ts";
-import { Paths } from "./paths.ts";
+import { angleOf, directionOf, type Drawing, Paths, type Pen, type Sprites } from "./sprites.ts";
 import type { Body, Meeting } from "./scene.ts";
-import { angleOf, directionOf, type Drawing, type Pen, type Sprites } from "./sprites.ts";
 import { TRAIL_JUMP_M, type Trail, type Trails } from "../trails.ts";
 
 const GRID_PX = 96;
@@ -74,6 +73,32 @@ export function attributionBox(camera: Camera, text: string): Box[] {
   return text === "" ? [] : [{ left: widthPx - 16 - 6 * text.length, top: heightPx - 22, right: widthPx, bottom: heightPx }];
 }
 
+/** Strokes the path. */
+function strokeAs(pen: Pen, colour: string, widthPx: number): void {
+  pen.strokeStyle = colour;
+  pen.lineWidth = widthPx;
+  pen.stroke();
+}
+
+/** Fills the path. */
+function fillAs(pen: Pen, colour: string): void {
+  pen.fillStyle = colour;
+  pen.fill();
+}
+
+/** Begins a path: a circle. */
+function circle(pen: Pen, x: number, y: number, radius: number): void {
+  pen.beginPath();
+  pen.arc(x, y, radius, 0, 7);
+}
+
+/** How the next texts are written, and which of their corners their places are. */
+function lettering(pen: Pen, font: string, align: CanvasTextAlign, baseline: CanvasTextBaseline): void {
+  pen.font = font;
+  pen.textAlign = align;
+  pen.textBaseline = baseline;
+}
+
 /** Begins a path through these points. */
 function trace(pen: Pen, points: readonly (readonly [number, number])[]): void {
   pen.beginPath();
@@ -91,9 +116,7 @@ export function drawScale(pen: Pen, camera: Camera, palette: Palette, frame: Fra
   pen.lineCap = "butt";
   trace(pen, [[x, y - 5], [x, y], [x + widthPx, y], [x + widthPx, y - 5]]);
   pen.stroke();
-  pen.font = `12px ${palette.font}`;
-  pen.textAlign = "left";
-  pen.textBaseline = "bottom";
+  lettering(pen, `12px ${palette.font}`, "left", "bottom");
   haloText(pen, lengthText(length), x + 4, y - 5, palette.text, palette.ground);
   drawNorth(pen, 34, camera.heightPx - 78, palette, frame);
 }
@@ -108,17 +131,13 @@ export function drawLeaders(pen: Pen, camera: Camera, palette: Palette, led: rea
     pen.moveTo(x + from[0], y + from[1]);
     pen.lineTo(x + to[0], y + to[1]);
   }
-  pen.strokeStyle = palette.muted;
-  pen.lineWidth = 1;
-  pen.stroke();
+  strokeAs(pen, palette.muted, 1);
 }
 
 /** Whom the map is from, on the lower right. */
 export function drawAttribution(pen: Pen, camera: Camera, palette: Palette, text: string): void {
   if (text === "") return;
-  pen.font = `11px ${palette.font}`;
-  pen.textAlign = "right";
-  pen.textBaseline = "bottom";
+  lettering(pen, `11px ${palette.font}`, "right", "bottom");
   haloText(pen, text, camera.widthPx - 8, camera.heightPx - 5, palette.text, palette.ground);
 }
 
@@ -131,13 +150,10 @@ function drawNorth(pen: Pen, x: number, y: number, palette: Palette, frame: Fram
   for (const [side, colour] of [[6, palette.text], [-6, palette.muted]] as const) {
     trace(pen, [[0, -18], [side, 4], [0, 0]]);
     pen.closePath();
-    pen.fillStyle = colour;
-    pen.fill();
+    fillAs(pen, colour);
   }
   pen.restore();
-  pen.font = `600 11px ${palette.font}`;
-  pen.textAlign = "center";
-  pen.textBaseline = "middle";
+  lettering(pen, `600 11px ${palette.font}`, "center", "middle");
   haloText(pen, "N", x - Math.sin(turn) * 26, y - Math.cos(turn) * 26, palette.text, palette.ground);
 }
 
@@ -188,8 +204,7 @@ function tracePoints(camera: Camera, trail: Trail, paths: { old: Path2D; recent:
   let lastX = 0;
   let lastY = 0;
   trail.each((x, y, _z, joined) => {
-    const px = toScreenX(camera, x);
-    const py = toScreenY(camera, y);
+    const [px, py] = [toScreenX(camera, x), toScreenY(camera, y)];
     const path = index < half ? paths.old : paths.recent;
     const turned = index - 1 < half && index >= half;
     index += 1;
@@ -243,22 +258,14 @@ function drawShape(pen: Pen, camera: Camera, palette: Palette, shape: Shape, col
   }
   if (shape.filled === true) {
     pen.globalAlpha = 0.08;
-    pen.fillStyle = colour;
-    pen.fill();
+    fillAs(pen, colour);
     pen.globalAlpha = 1;
   }
   pen.stroke();
   pen.setLineDash([]);
 }
 
-function drawMark(
-  pen: Pen,
-  x: number,
-  y: number,
-  colour: string,
-  palette: Palette,
-  mark: Extract<Shape, { kind: "mark" }>,
-): void {
+function drawMark(pen: Pen, x: number, y: number, colour: string, palette: Palette, mark: Extract<Shape, { kind: "mark" }>): void {
   const r = mark.emphasised === true ? 8 : 6;
   pen.lineWidth = 2;
   pen.strokeStyle = colour;
@@ -278,8 +285,7 @@ function drawMark(
     case "waypoint":
     case "handle":
       pen.arc(x, y, mark.symbol === "handle" ? r + 1 : r - 1, 0, 7);
-      pen.fillStyle = mark.symbol === "handle" ? palette.surface : colour;
-      pen.fill();
+      fillAs(pen, mark.symbol === "handle" ? palette.surface : colour);
       pen.stroke();
       break;
     case "home":
@@ -299,9 +305,7 @@ function drawMark(
       break;
   }
   if (mark.text !== undefined && mark.text !== "") {
-    pen.font = `600 11px ${palette.font}`;
-    pen.textAlign = "left";
-    pen.textBaseline = "middle";
+    lettering(pen, `600 11px ${palette.font}`, "left", "middle");
     haloText(pen, mark.text, x + r + 5, y, colour, palette.ground);
   }
 }
@@ -317,17 +321,10 @@ function homePath(pen: Pen, x: number, y: number, r: number): void {
 }
 
 /** Homes of all vehicles, those at one place once. */
-export function drawHomes(
-  pen: Pen,
-  camera: Camera,
-  palette: Palette,
-  homes: Iterable<readonly [number, number]>,
-  sprites: Sprites,
-): void {
+export function drawHomes(pen: Pen, camera: Camera, palette: Palette, homes: Iterable<readonly [number, number]>, sprites: Sprites): void {
   const seen = new Set<number>();
   for (const [x, y] of homes) {
-    const px = toScreenX(camera, x);
-    const py = toScreenY(camera, y);
+    const [px, py] = [toScreenX(camera, x), toScreenY(camera, y)];
     if (px < -HOME_PX || py < -HOME_PX || px > camera.widthPx + HOME_PX || py > camera.heightPx + HOME_PX) continue;
     const key = Math.round(px / 14) * 100_003 + Math.round(py / 14);
     if (seen.has(key)) continue;
@@ -345,13 +342,9 @@ export function drawHomes(
 
 /** The origin of the frame: a small cross of its two axes. */
 export function drawOrigin(pen: Pen, camera: Camera, palette: Palette): void {
-  const x = toScreenX(camera, 0);
-  const y = toScreenY(camera, 0);
-  pen.strokeStyle = palette.muted;
-  pen.lineWidth = 1.5;
-  pen.beginPath();
-  pen.arc(x, y, 4, 0, 7);
-  pen.stroke();
+  const [x, y] = [toScreenX(camera, 0), toScreenY(camera, 0)];
+  circle(pen, x, y, 4);
+  strokeAs(pen, palette.muted, 1.5);
 }
 
 /** From the end of each trail to where its vehicle is now: the trails' layer is some tenths of a second old. */
@@ -375,8 +368,7 @@ export function drawGoals(pen: Pen, camera: Camera, bodies: readonly Body[], col
   for (const body of bodies) {
     if (body.goal === null || !body.heard) continue;
     pen.strokeStyle = colourOf(body);
-    const x = toScreenX(camera, body.goal[0]);
-    const y = toScreenY(camera, body.goal[1]);
+    const [x, y] = [toScreenX(camera, body.goal[0]), toScreenY(camera, body.goal[1])];
     pen.beginPath();
     pen.moveTo(toScreenX(camera, body.x), toScreenY(camera, body.y));
     pen.lineTo(x, y);
@@ -390,8 +382,7 @@ export function drawGoals(pen: Pen, camera: Camera, bodies: readonly Body[], col
 export function drawMeetings(pen: Pen, camera: Camera, palette: Palette, meetings: readonly Meeting[]): void {
   for (const { a, b, separation, x, y } of meetings) {
     const colour = separation.level === "notice" ? palette.warning : palette.danger;
-    const mx = toScreenX(camera, x);
-    const my = toScreenY(camera, y);
+    const [mx, my] = [toScreenX(camera, x), toScreenY(camera, y)];
     pen.strokeStyle = colour;
     pen.lineWidth = separation.level === "notice" ? 1.5 : 2.5;
     pen.setLineDash([5, 4]);
@@ -403,12 +394,9 @@ export function drawMeetings(pen: Pen, camera: Camera, palette: Palette, meeting
     pen.setLineDash([]);
     if (separation.closest_m === undefined || separation.closest_in_s === undefined) continue;
     const radius = Math.max(((separation.margin_m ?? 0) / 2) * camera.pxPerM, 9);
-    pen.beginPath();
-    pen.arc(mx, my, radius, 0, 7);
+    circle(pen, mx, my, radius);
     pen.stroke();
-    pen.font = `600 12px ${palette.font}`;
-    pen.textAlign = "center";
-    pen.textBaseline = "bottom";
+    lettering(pen, `600 12px ${palette.font}`, "center", "bottom");
     const text = `${separation.closest_m.toFixed(1)} m in ${separation.closest_in_s.toFixed(0)} s`;
     haloText(pen, text, mx, my - radius - 4, colour, palette.ground);
   }
@@ -423,11 +411,8 @@ export function drawArrows(pen: Pen, camera: Camera, palette: Palette, arrows: r
     const colour = colourOf(arrow.names[0] ?? "");
     pen.beginPath();
     dart(pen, xPx, yPx, -angleRad, GLYPH_PX);
-    pen.strokeStyle = palette.ground;
-    pen.lineWidth = 3;
-    pen.stroke();
-    pen.fillStyle = colour;
-    pen.fill();
+    strokeAs(pen, palette.ground, 3);
+    fillAs(pen, colour);
     // towards the middle, where there is room
     const right = xPx > camera.widthPx / 2;
     pen.textAlign = right ? "right" : "left";
@@ -522,10 +507,8 @@ function troubleSigns(pen: Pen, camera: Camera, palette: Palette, bodies: readon
 
 /** A disc with a cross on it, about 0, 0. */
 function crossSign(pen: Pen, ground: string, colour: string): void {
-  pen.fillStyle = colour;
-  pen.beginPath();
-  pen.arc(0, 0, 6.5, 0, 7);
-  pen.fill();
+  circle(pen, 0, 0, 6.5);
+  fillAs(pen, colour);
   pen.strokeStyle = ground;
   pen.lineWidth = 2;
   trace(pen, [[-2.5, -2.5], [2.5, 2.5]]);
@@ -552,14 +535,11 @@ function circles(pen: Pen, camera: Camera, bodies: readonly Body[], radius: numb
   if (bodies.length === 0) return;
   pen.beginPath();
   for (const body of bodies) {
-    const x = toScreenX(camera, body.x);
-    const y = toScreenY(camera, body.y);
+    const [x, y] = [toScreenX(camera, body.x), toScreenY(camera, body.y)];
     pen.moveTo(x + radius, y);
     pen.arc(x, y, radius, 0, 7);
   }
-  pen.strokeStyle = colour;
-  pen.lineWidth = width;
-  pen.stroke();
+  strokeAs(pen, colour, width);
 }
 
 function dart(path: Path2D | Pen, x: number, y: number, yawRad: number, size: number): void {

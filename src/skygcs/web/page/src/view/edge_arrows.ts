@@ -35,8 +35,7 @@ export function edgeArrows(camera: Camera, places: readonly Off[], taken: readon
   if (reachX <= 0 || reachY <= 0) return [];
   const arrows: (Arrow & { names: string[] })[] = [];
   for (const { name, x, y, urgency } of [...places].sort((a, b) => b.urgency - a.urgency)) {
-    const px = toScreenX(camera, x);
-    const py = toScreenY(camera, y);
+    const [px, py] = [toScreenX(camera, x), toScreenY(camera, y)];
     if (px >= 0 && py >= 0 && px <= widthPx && py <= heightPx) continue;
     const [dx, dy] = [px - widthPx / 2, py - heightPx / 2];
     const share = Math.min(reachX / Math.abs(dx), reachY / Math.abs(dy));

@@ -1,6 +1,7 @@
 // The fleet view: vehicles on one canvas above another of what lies beneath them, drawn when something changed and only then. Pan, zoom,
 // fit, follow, and the tools of panels.
 
+import { Changes } from "../hooks.ts";
 import { frameIsKnown, frameKey } from "../framed.ts";
 import { recall, remember, onTheme } from "../theme.ts";
 import type { State, Store } from "../store.ts";
@@ -79,7 +80,7 @@ interface Look {
   colours: draw.Colours;
 }
 
-export class FleetView {
+export class FleetView extends Changes {
   /** Of the part above the side view. */
   camera: Camera = START;
   follow = false;
@@ -127,10 +128,10 @@ export class FleetView {
   private readonly trailLayer: HTMLCanvasElement = document.createElement("canvas");
   private trailsDrawn: { camera: Camera; ms: number; tookMs: number } | null = null;
   private readonly map = new MapLayer(() => this.repaint());
-  private readonly changeListeners = new Set<() => void>();
   private readonly stillMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
   constructor(readonly store: Store) {
+    super();
     store.subscribe((state, inFrame) => {
       this.onState(state);
       // the answer to a key or a click does not wait for the canvas, and no frame of the screen is drawn twice
@@ -237,19 +238,11 @@ export class FleetView {
   /** Vehicles within a rectangle of the canvas. */
   vehiclesIn(left: number, top: number, right: number, bottom: number): string[] {
     const { camera } = this;
-    return this.scene.bodies
-      .filter(({ x, y }) => {
-        const px = toScreenX(camera, x);
-        const py = toScreenY(camera, y);
+    return this.scene.bodies.filter(({ x, y }) => {
+        const [px, py] = [toScreenX(camera, x), toScreenY(camera, y)];
         return px >= left && px <= right && py >= top && py <= bottom;
       })
       .map((body) => body.name);
-  }
-
-  /** Called when options, tool, follow or camera changed. */
-  onChange(listener: () => void): () => void {
-    this.changeListeners.add(listener);
-    return () => this.changeListeners.delete(listener);
   }
 
   /** `ground`: of the same place and size, beneath the canvas that has the pointer. */
@@ -310,9 +303,10 @@ export class FleetView {
     this.repaint();
   }
 
-  private changed(): void {
+  /** Options, tool, follow or camera changed. */
+  protected override changed(): void {
     this.redraw();
-    for (const listener of this.changeListeners) listener();
+    super.changed();
   }
 
   private onState(state: State): void {
@@ -361,9 +355,7 @@ export class FleetView {
       if (goal !== null && what === "all") bounds = extended(bounds, goal[0], goal[1]);
     }
     if (what === "all") {
-      for (const overlay of this.overlays.values()) {
-        if (overlay.fit === true) bounds = withOverlay(bounds, overlay);
-      }
+      for (const overlay of this.overlays.values()) if (overlay.fit === true) bounds = withOverlay(bounds, overlay);
     }
     return bounds;
   }
@@ -525,17 +517,14 @@ export class FleetView {
 
   private visible(camera: Camera): Body[] {
     return this.scene.bodies.filter((body) => {
-      const x = toScreenX(camera, body.x);
-      const y = toScreenY(camera, body.y);
+      const [x, y] = [toScreenX(camera, body.x), toScreenY(camera, body.y)];
       return x > -30 && y > -30 && x < camera.widthPx + 30 && y < camera.heightPx + 30;
     });
   }
 
   private *homes(state: State): Iterable<readonly [number, number]> {
     if (this.frame === null) return;
-    for (const { home } of state.vehicles.values()) {
-      if (home !== null) yield fromGeodetic(this.frame, home.lat_deg, home.lon_deg);
-    }
+    for (const { home } of state.vehicles.values()) if (home !== null) yield fromGeodetic(this.frame, home.lat_deg, home.lon_deg);
   }
 
   /** Trails are a layer of their own: what comes is added to it; it is drawn anew for another camera, and moved till then. */
@@ -573,9 +562,7 @@ export class FleetView {
 
   private drawLabels(pen: Pen, camera: Camera, palette: Palette, shown: readonly Body[], nowMs: number): void {
     this.labels.beginFrame();
-    const sprites = shown.map((body) =>
-      this.labels.get(body.name, body.name, labelLine(body), labelTone(body), palette, nowMs),
-    );
+    const sprites = shown.map((body) => this.labels.get(body.name, body.name, labelLine(body), labelTone(body), palette, nowMs));
     if (nowMs - this.placedMs > LABELS_EVERY_MS) {
       this.placedMs = nowMs;
       const requests = shown.map((body, i) => ({

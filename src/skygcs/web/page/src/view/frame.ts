@@ -39,11 +39,7 @@ function ecefOf(lat_deg: number, lon_deg: number, alt_m: number): Vec3 {
   const [sinLat, cosLat] = [Math.sin(lat_deg * RAD), Math.cos(lat_deg * RAD)];
   const radius = SEMI_MAJOR_M / Math.sqrt(1 - ECCENTRICITY2 * sinLat * sinLat);
   const across = (radius + alt_m) * cosLat;
-  return [
-    across * Math.cos(lon_deg * RAD),
-    across * Math.sin(lon_deg * RAD),
-    (radius * (1 - ECCENTRICITY2) + alt_m) * sinLat,
-  ];
+  return [across * Math.cos(lon_deg * RAD), across * Math.sin(lon_deg * RAD), (radius * (1 - ECCENTRICITY2) + alt_m) * sinLat];
 }
 
 /** x, y in metres of a place at the origin's altitude, as the station counts it (dropped.py, `WorldMap.xy`). */
@@ -166,12 +162,5 @@ export function placeImage(frame: Frame, pins: readonly [MapPin, MapPin]): Image
   const re = ((qx - px) * dx + (qy - py) * dy) / length2;
   const im = ((qy - py) * dx - (qx - px) * dy) / length2;
   if (re === 0 && im === 0) return null;
-  return {
-    a: re,
-    b: im,
-    c: im,
-    d: -re,
-    e: px - re * p.x_px - im * p.y_px,
-    f: py - im * p.x_px + re * p.y_px,
-  };
+  return { a: re, b: im, c: im, d: -re, e: px - re * p.x_px - im * p.y_px, f: py - im * p.x_px + re * p.y_px };
 }

@@ -1,8 +1,7 @@
 // Names and numbers beside vehicles: each drawn once into a small picture of its own, and placed where it covers no other.
 
 import type { Palette } from "./palette.ts";
-import { discard, pictureCanvas, type Picture, type PictureCanvas } from "./picture_canvas.ts";
-import type { Pen } from "./sprites.ts";
+import { discard, type Pen, type Picture, pictureCanvas, type PictureCanvas } from "./sprites.ts";
 
 const WIDTH_PX = 132;
 const HEIGHT_PX = 32;
@@ -149,9 +148,7 @@ export function placeLabels(
   const placed = new Map<string, Placement>();
   const crowd = crowdOf(requests);
   for (const box of covered) take(cells, box);
-  for (const { xPx, yPx, reachPx } of requests) {
-    take(cells, { left: xPx - reachPx, top: yPx - reachPx, right: xPx + reachPx, bottom: yPx + reachPx });
-  }
+  for (const { xPx, yPx, reachPx } of requests) take(cells, { left: xPx - reachPx, top: yPx - reachPx, right: xPx + reachPx, bottom: yPx + reachPx });
   for (const request of requests) {
     const had = before.get(request.id);
     const names = !request.urgent && crowd(request) >= CROWD + (had?.full === true ? 1 : 0);
@@ -188,9 +185,7 @@ function crowdOf(requests: readonly LabelRequest[]): (request: LabelRequest) => 
     let count = -1; // itself
     for (let i = cellOf(xPx) - 1; i <= cellOf(xPx) + 1; i++) {
       for (let j = cellOf(yPx) - 1; j <= cellOf(yPx) + 1; j++) {
-        for (const other of byCell.get(keyOf(i, j)) ?? []) {
-          if (Math.hypot(other.xPx - xPx, other.yPx - yPx) < CROWD_PX) count += 1;
-        }
+        for (const other of byCell.get(keyOf(i, j)) ?? []) if (Math.hypot(other.xPx - xPx, other.yPx - yPx) < CROWD_PX) count += 1;
       }
     }
     return count;

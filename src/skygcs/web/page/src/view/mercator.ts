@@ -49,14 +49,7 @@ export function projectionOf(frame: Frame, camera: Camera): Projection {
   };
   const slope = (a: [number, number], b: [number, number]): [number, number] => [(b[0] - a[0]) / (2 * STEP), (b[1] - a[1]) / (2 * STEP)];
   const [xPx, yPx] = at(x, y);
-  return {
-    x,
-    y,
-    xPx,
-    yPx,
-    along: slope(at(x - STEP, y), at(x + STEP, y)),
-    down: slope(at(x, y - STEP), at(x, y + STEP)),
-  };
+  return { x, y, xPx, yPx, along: slope(at(x - STEP, y), at(x + STEP, y)), down: slope(at(x, y - STEP), at(x, y + STEP)) };
 }
 
 /** The zoom whose tiles are shown about as large as they are. */
@@ -91,14 +84,7 @@ export function tilesSeen(p: Projection, zoom: number, widthPx: number, heightPx
 export function tileTransform({ x, y, xPx, yPx, along, down }: Projection, tile: Tile): [number, number, number, number, number, number] {
   const size = 2 ** -tile.zoom;
   const [u, v] = [tile.x * size - x, tile.y * size - y];
-  return [
-    along[0] * size,
-    along[1] * size,
-    down[0] * size,
-    down[1] * size,
-    xPx + along[0] * u + down[0] * v,
-    yPx + along[1] * u + down[1] * v,
-  ];
+  return [along[0] * size, along[1] * size, down[0] * size, down[1] * size, xPx + along[0] * u + down[0] * v, yPx + along[1] * u + down[1] * v];
 }
 
 /** The place of the square under a point of the canvas. */

@@ -124,13 +124,7 @@ export function meetingsOf(scene: Scene, frame: Frame | null): Meeting[] {
     const t = a.conflict.closest_in_s ?? 0;
     const u = velocityOf(frame, a.vehicle) ?? [0, 0, 0];
     const v = velocityOf(frame, b.vehicle) ?? [0, 0, 0];
-    meetings.push({
-      a,
-      b,
-      separation: a.conflict,
-      x: (a.x + u[0] * t + b.x + v[0] * t) / 2,
-      y: (a.y + u[1] * t + b.y + v[1] * t) / 2,
-    });
+    meetings.push({ a, b, separation: a.conflict, x: (a.x + u[0] * t + b.x + v[0] * t) / 2, y: (a.y + u[1] * t + b.y + v[1] * t) / 2 });
   }
   return meetings;
 }

@@ -61,14 +61,7 @@ export function sideScale(topPx: number, heightPx: number, topM: number): SideSc
 }
 
 /** The strip without vehicles. */
-export function drawSideGround(
-  pen: Pen,
-  camera: Camera,
-  side: SideScale,
-  palette: Palette,
-  overlays: Iterable<Overlay>,
-  colours: Colours,
-): void {
+export function drawSideGround(pen: Pen, camera: Camera, side: SideScale, palette: Palette, overlays: Iterable<Overlay>, colours: Colours): void {
   within(pen, camera, side, () => {
     pen.fillStyle = palette.surface;
     pen.fillRect(0, side.topPx, camera.widthPx, side.heightPx);
