@@ -251,7 +251,9 @@ class HttpServer:
         except web.HTTPException as error:
             response = _plain(error.status, error.reason)
         lane = _connection(request).lane
-        if not websocket and lane in (self._unknown, self._onlookers):
+        # a tile is read beside the loop, whose cost meanwhile is of others; `map_tiles` bounds how many are
+        onlooks = lane is self._onlookers and not websocket and not request.path.startswith("/tiles/")
+        if lane is self._unknown or onlooks:
             lane.busy += 1
             try:
                 await asyncio.sleep(lane.pause_after_s(time.thread_time() - began))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import re
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -13,8 +14,9 @@ import pytest
 from aiohttp import WSMessage, WSMsgType
 
 from skygcs.config.allow_list import allow_list
+from skygcs.web import http_server
 from skygcs.web.http_server import HttpServer, _read, cookie_value
-from skygcs.web.paced_handler import Lane
+from skygcs.web.paced_handler import Lane, pause_after_s
 from skygcs.web.request_limits import READ_AHEAD_S, READ_MESSAGES_PER_S, PageLimits
 from skygcs.web.sign_in import SignIn
 
@@ -131,7 +133,7 @@ class Server:
         )
 
     async def asked(self, lines: str, *, body: bytes = b"") -> tuple[Any, Transport]:
-        """The connection of one request, a moment later."""
+        """The connection of one request, a second later."""
         await self.http._runner.setup()
         handler, transport = self.http._new_handler(), Transport()
         self.http.connections.admit(handler, 0.0)
@@ -164,3 +166,20 @@ async def test_who_may_order_shares_its_part_of_the_loop_with_nobody(tmp_path: P
     assert unknown is unknown_2 and view is view_2
     assert len({id(lane) for lane in (unknown, view, command, command_2)}) == 4
     assert {lane.busy for lane in lanes} == {0}
+
+
+@pytest.mark.parametrize("role", [None, "view", "command"])
+async def test_requests_of_who_may_not_order_are_answered_by_what_they_cost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, role: Any
+) -> None:
+    """A hundred connections of requests that are refused kept the stop of others for half a second."""
+    clock = itertools.count()
+    monkeypatch.setattr(http_server.time, "thread_time", lambda: next(clock) * 0.01)
+    server, cookie = Server(tmp_path), ""
+    if role is not None:
+        value = server.sign_in.exchange(server.sign_in.issue(role, 0.0), 0.0, lambda: True)
+        cookie = f"Cookie: {server.http.cookie_name}={value}\r\n"
+    more = f"GET /map HTTP/1.1\r\nHost: 127.0.0.1:8750\r\n{cookie}\r\n".encode()
+    _, transport = await server.asked(cookie, body=more * 30)
+    answered = transport.written.count(b"HTTP/1.1 ")
+    assert answered == 31 if role == "command" else answered <= 2 + 1.0 / pause_after_s(0.01)
