@@ -63,12 +63,13 @@ FILES_READ = r"log\.\w+|\$JS\.API\.STREAM\.(INFO|MSG\.GET)\.OBJ_skygcs_logs"
 
 
 def orders(sites: str) -> str:
-    return rf"(cmd|stop)\.({sites})\.(alpha|outcome)\.OWN|lease\.({sites})\.alpha\.request"
+    return rf"(cmd|stop)\.({sites})\.(alpha|outcome)\.OWN"
 
 
 def of_site(name: str, ordered: str) -> str:
-    own = rf"(state\.{name}\.(fast|slow)|(event|audit|bridge)\.{name}|lease\.{name}\.alpha\.request)"
-    leases = rf"\$KV\.skygcs_leases\.({'|'.join(filter(None, (name, ordered)))})\.alpha"
+    own = rf"(state\.{name}\.(fast|slow)|(event|audit|bridge)\.{name})"
+    sites = "|".join(filter(None, (name, ordered)))
+    leases = rf"\$KV\.skygcs_leases\.({sites})\.alpha|lease\.({sites})\.alpha\.request"
     kept = r"\$JS\.API\.STREAM\.(INFO|MSG\.GET)\.KV_skygcs_leases|\$O\.skygcs_logs\.[CM]\.x"
     return "|".join((ASKS, FILES_READ, own, leases, kept, *([orders(ordered)] if ordered else [])))
 

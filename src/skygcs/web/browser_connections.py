@@ -134,11 +134,11 @@ class BrowserConnections:
         place = self._places[handler] = _Place(handler, now)
         return place
 
-    def know(self, handler: RequestHandler, browser: str, *, may_order: bool) -> None:
-        """The connection has sent a valid cookie of this browser."""
+    def know(self, handler: RequestHandler, browser: str, *, may_order: bool) -> bool:
+        """The connection has sent a valid cookie of this browser; True for the first one."""
         place = self._places.get(handler)
         if place is None or place.browser is not None:
-            return
+            return False
         place.browser, place.may_order = browser, may_order
         known = [p for p in self._places.values() if p.browser is not None and not p.closed]
         own = [p for p in known if p.browser == browser]
@@ -149,6 +149,7 @@ class BrowserConnections:
         elif not may_order and len(onlookers) > MAX_VIEW:
             self.refused += 1
             self._drop(_least_needed(onlookers))
+        return True
 
     def hold_websocket(self, handler: RequestHandler) -> None:
         """The connection becomes a WebSocket: a page, with its STOP. Others give way first."""

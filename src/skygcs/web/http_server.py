@@ -14,6 +14,7 @@ Anything else is 404, another verb 405. Connections: `browser_connections`.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gzip
 import hashlib
 import os
@@ -34,7 +35,7 @@ from skygcs.web.browser_connections import BACKLOG, BrowserConnections
 from skygcs.web.built_page import NOT_BUILT, STATIC
 from skygcs.web.map_image import MapImage
 from skygcs.web.map_tiles import RETRY_S, MapTiles, TilesBusyError
-from skygcs.web.paced_handler import PacedHandler, pause_after_s
+from skygcs.web.paced_handler import Lane, PacedHandler, pause_after_s
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.peer_user import is_own_user
 from skygcs.web.request_limits import MAX_MESSAGE_BYTES
@@ -72,7 +73,7 @@ TYPES = {
 
 COMPRESSED = {".css", ".html", ".js", ".json", ".svg", ".txt", ".webmanifest"}
 
-_IS_SIGN_IN = "skygcs.sign_in"
+_IS_SIGN_IN = web.ResponseKey("skygcs.sign_in", bool)
 """Marks the only response with a form and with a style of its own."""
 
 _log = structlog.get_logger(__name__)
@@ -166,6 +167,7 @@ class HttpServer:
         self._tiles = map_tiles
         self._assets = Assets(static)
         self._loop = asyncio.get_running_loop()
+        self._unknown, self._onlookers = Lane(self._loop.time()), Lane(self._loop.time())
         self._tasks: list[asyncio.Task[None]] = []
         self._secure = False
         application = web.Application(middlewares=[self._guard], client_max_size=1024)
@@ -180,6 +182,7 @@ class HttpServer:
             application,
             access_log=None,  # an address with its token must stand in no log
             keepalive_timeout=KEEP_ALIVE_S,
+            lingering_time=0.0,  # no request has a body here: one that has is not read, its connection is closed
             max_line_size=MAX_HEADER_BYTES,
             max_field_size=MAX_HEADER_BYTES,
             shutdown_timeout=1.0,
@@ -211,7 +214,7 @@ class HttpServer:
     def _new_handler(self) -> RequestHandler:
         server = self._runner.server
         assert server is not None
-        return PacedHandler(server)
+        return PacedHandler(server, self._unknown)
 
     async def _sweep(self) -> None:
         while True:
@@ -242,10 +245,21 @@ class HttpServer:
             return _plain(403, refusal)
         if request.method != "GET":
             return _plain(405, "only GET is served here", Allow="GET")
+        began = time.thread_time()
         try:
-            return await handler(request)
+            response = await handler(request)
         except web.HTTPException as error:
-            return _plain(error.status, error.reason)
+            response = _plain(error.status, error.reason)
+        lane = _connection(request).lane
+        # a tile is read beside the loop, whose cost meanwhile is of others; `map_tiles` bounds how many are
+        onlooks = lane is self._onlookers and not websocket and not request.path.startswith("/tiles/")
+        if lane is self._unknown or onlooks:
+            lane.busy += 1
+            try:
+                await asyncio.sleep(lane.pause_after_s(time.thread_time() - began))
+            finally:
+                lane.busy -= 1
+        return response
 
     async def _on_prepare(self, request: web.Request, response: web.StreamResponse) -> None:
         own = request.headers.get("Host", "")
@@ -271,12 +285,13 @@ class HttpServer:
 
     def _cookie(self, request: web.Request) -> tuple[str, Role] | None:
         """(identity, role) of a signed-in browser."""
-        cookie = request.cookies.get(self.cookie_name, "")
+        cookie = cookie_value(request.headers.get("Cookie", ""), self.cookie_name)
         role = self._sign_in.role_of(cookie, self._clock()) if cookie else None
         if role is None:
             return None
         identity = self._sign_in.identity(cookie)
-        self.connections.know(request.protocol, identity, may_order=role == "command")
+        if self.connections.know(request.protocol, identity, may_order=role == "command"):
+            _connection(request).join(Lane(self._loop.time()) if role == "command" else self._onlookers)
         return identity, role
 
     # -- what is served
@@ -348,7 +363,9 @@ class HttpServer:
             or (role == "view" and sum(c.role == "view" for c in clients) >= MAX_VIEW_SOCKETS)
         ):
             return _plain(429, "too many pages are open; close some")
-        ws = web.WebSocketResponse(max_msg_size=MAX_MESSAGE_BYTES, heartbeat=PING_S, compress=False, timeout=1.0)
+        ws = web.WebSocketResponse(
+            max_msg_size=MAX_MESSAGE_BYTES, heartbeat=PING_S, compress=False, timeout=1.0, autoping=False
+        )
         if not ws.can_prepare(request).ok:
             return _plain(426, "this is a WebSocket")
         client = PageClient(self._pages, _PageSocket(ws, request), role, identity)
@@ -358,19 +375,24 @@ class HttpServer:
             await ws.prepare(request)
             sending = self._loop.create_task(_sending(client), name="page sending")
             try:
-                async for message in ws:
-                    if message.type is not WSMsgType.TEXT:
-                        await ws.close(code=1003, message=b"text only")
-                        break
-                    began = time.thread_time()
-                    client.on_message(message.data)
-                    cost_s = time.thread_time() - began  # a message of many small parts costs ten times a text
-                    await asyncio.sleep(max(client.pause_s(len(message.data)), pause_after_s(cost_s)))
+                await _read(ws, request, client)
             finally:
                 sending.cancel()
         finally:
             client.close()
         return ws
+
+
+def _connection(request: web.Request) -> PacedHandler:
+    assert isinstance(request.protocol, PacedHandler)
+    return request.protocol
+
+
+def cookie_value(header: str, name: str) -> str:
+    """The last cookie of this name, which has the shortest path; "" without one. aiohttp's parser takes 50 ms for a
+    header of many cookies."""
+    found = [value for part in header.split(";") for key, _, value in (part.strip().partition("="),) if key == name]
+    return found[-1] if found else ""
 
 
 async def tile_response(tiles: MapTiles, zoom: int, x: int, y: int) -> web.Response:
@@ -388,15 +410,38 @@ async def tile_response(tiles: MapTiles, zoom: int, x: int, y: int) -> web.Respo
     return web.Response(body=body, content_type=content_type, headers=headers)
 
 
+async def _read(ws: web.WebSocketResponse, request: web.Request, client: PageClient) -> None:
+    """Hand a page's messages on until its socket ends, or it is closed here. Each has its pause, a ping as well: an
+    answer costs more than a refusal. Of a page that has left, what is beyond its allowance is given up: a browser's
+    last order comes with its end, but megabytes of a flood would stay as long as they are read at the usual pace."""
+    async for message in ws:
+        if client.closed:
+            break
+        cost_s = 0.0
+        if message.type is WSMsgType.TEXT:
+            began = time.thread_time()
+            client.on_message(message.data)
+            cost_s = time.thread_time() - began  # a message of many small parts costs ten times a text
+        elif message.type is WSMsgType.PING:
+            with contextlib.suppress(ConnectionError):
+                await ws.pong(message.data)
+        elif message.type is not WSMsgType.PONG:
+            await ws.close(code=1003, message=b"text only")
+            break
+        pause_s = client.pause_s(len(message.data))
+        if pause_s > 0.0 and request.transport is None:
+            break
+        await asyncio.sleep(max(pause_s, pause_after_s(cost_s)))
+
+
 async def _sending(client: PageClient) -> None:
     """The sending side of one page; its failure ends the page only."""
     try:
         await client.send()
-    except (ConnectionError, RuntimeError):  # aiohttp: the socket has closed
+    except (ConnectionError, RuntimeError):  # aiohttp: the socket has closed, and what it sent before is read yet
         pass
     except Exception as error:
         _log.error("page cannot be sent to", exc_info=error)
-    finally:
         client.close()
 
 

@@ -5,6 +5,9 @@ answers pings and joins fragments before any limit of ours applies. So the data 
 turn, and the pause before the next piece depends on the CPU time of this one. A frame of six bytes costs as much as a
 large one; a long message costs little.
 
+Connections of browsers that are not signed in share one lane, those that may only look another one: a hundred of them
+together take no more of the loop than one does. Who may order has a lane for each connection.
+
 aiohttp's own holds (`_reading_paused`, `_buffer_paused`) are private, as are the arguments that its server gives a
 connection. So pyproject.toml permits only the minor version of it that this was tried with.
 """
@@ -19,17 +22,20 @@ from typing import Any
 from aiohttp.web_protocol import RequestHandler
 from aiohttp.web_server import Server
 
+from skygcs.core.token_bucket import TokenBucket
+
 PIECE_BYTES = 4096
 """Some 700 empty frames, which take 2 ms to parse and 5 ms to answer."""
 
 MOST_WAITING_BYTES = 1 << 20
 """Four reads of a socket. aiohttp may resume reading by itself; a browser does not send so much meanwhile."""
 
-LAST_COST_S = 0.025
-"""Cost of what waits at the end of its connection, given at once: several megabytes of text, 8,000 pings."""
+LAST_COST_S, LAST_SHARE = 0.025, 0.05
+"""Cost of what waits at the end of its connection, given at once: several megabytes of text, 8,000 pings; and the share
+of the loop for the ends of a lane's connections. Without one the first piece is given: a browser's last order."""
 
 PAUSE_SHARE = 9.0
-"""Pause by cost: one page takes at most a third of the loop, with its answers."""
+"""Pause by cost: one lane takes at most a third of the loop, with its answers."""
 
 LONGEST_PAUSE_S = 0.25
 """A page's stop comes over the same connection, and waits no longer for what one message cost."""
@@ -46,12 +52,30 @@ def pause_after_s(cost_s: float) -> float:
     return min(LONGEST_PAUSE_S, PAUSE_SHARE * cost_s)
 
 
-class PacedHandler(RequestHandler):
-    """aiohttp's protocol of one connection. ``clock``: CPU time of this thread."""
+class Lane:
+    """Connections that share one part of the loop. ``busy``: how many have something to be taken, each of which waits
+    for its turn behind the others."""
 
-    def __init__(self, server: Server, clock: Callable[[], float] = time.thread_time) -> None:
+    def __init__(self, now: float) -> None:
+        self.busy = 0
+        self.ends = TokenBucket(LAST_SHARE, LAST_COST_S, now)
+        """Seconds of what waits at the end of a connection."""
+
+    def pause_after_s(self, cost_s: float) -> float:
+        """`pause_after_s` of one of them."""
+        return pause_after_s(cost_s) * max(1, self.busy)
+
+
+class PacedHandler(RequestHandler):
+    """aiohttp's protocol of one connection, in a ``lane`` until it joins another one. ``clock``: CPU time of this
+    thread."""
+
+    def __init__(self, server: Server, lane: Lane, clock: Callable[[], float] = time.thread_time) -> None:
         loop = asyncio.get_running_loop()
         super().__init__(server, loop=loop, **server._kwargs)
+        self.lane = lane
+        self._busy = False
+        """True if it counts as busy in its lane."""
         self._turns = loop
         self._clock = clock
         self._waits = bytearray()
@@ -59,6 +83,12 @@ class PacedHandler(RequestHandler):
         self._owed_s = 0.0
         """Pauses that were too short to be made yet."""
         self._next: asyncio.Handle | None = None
+
+    def join(self, lane: Lane) -> None:
+        """It is known now from which browser it comes."""
+        self.lane.busy -= self._busy
+        self.lane = lane
+        self.lane.busy += self._busy
 
     def data_received(self, data: bytes) -> None:
         """Take what has come. aiohttp calls it without data, to go on with what it holds."""
@@ -72,6 +102,7 @@ class PacedHandler(RequestHandler):
             self._go_on()
         else:
             self._hold()
+        self._count()
 
     def resume_reading(self, *how: Any, **more: Any) -> None:
         """aiohttp's reader takes more: first what waits here."""
@@ -88,23 +119,32 @@ class PacedHandler(RequestHandler):
         if self._next is not None:
             self._next.cancel()
             self._next = None
-        began = self._clock()
+        began, ends, now = self._clock(), self.lane.ends, self._turns.time()
+        most_s = ends.saved(now)
         try:
-            while self._waits and self._clock() - began < LAST_COST_S:
+            while self._waits:
                 self._give_piece()
+                if self._clock() - began >= most_s:
+                    break
         finally:
+            ends.spend(min(self._clock() - began, LAST_COST_S), now)
             self._waits.clear()
+            self._count()
             super().connection_lost(exc)
 
     def _go_on(self) -> None:
         """Give a piece; read again once nothing waits."""
         self._next = None
+        self._take_turn()
+        self._count()
+
+    def _take_turn(self) -> None:
         if self._is_held():
             self._hold()  # aiohttp will resume
         elif self._waits:
             began = self._clock()
             self._give_piece()
-            self._owed_s += pause_after_s(self._clock() - began)
+            self._owed_s += self.lane.pause_after_s(self._clock() - began)
             if self._waits:
                 self._hold()
             if self._owed_s < SHORTEST_PAUSE_S:
@@ -125,6 +165,11 @@ class PacedHandler(RequestHandler):
             self._abort()
             raise
 
+    def _count(self) -> None:
+        busy = bool(self._waits) or self._next is not None
+        self.lane.busy += busy - self._busy
+        self._busy = busy
+
     def _is_held(self) -> bool:
         return self._reading_paused or self._buffer_paused
 
@@ -134,6 +179,7 @@ class PacedHandler(RequestHandler):
             self._hold()
         if self._waits and self._next is None:
             self._next = self._turns.call_soon(self._go_on)
+        self._count()
 
     def _hold(self) -> None:
         if self.transport is not None and not self.transport.is_closing():
@@ -141,5 +187,6 @@ class PacedHandler(RequestHandler):
 
     def _abort(self) -> None:
         self._waits.clear()
+        self._count()
         if self.transport is not None:
             self.transport.abort()

@@ -354,7 +354,10 @@ class PageClient:
     # -- what it asks
 
     def on_message(self, text: str | bytes) -> None:
-        """One frame. Never raises for what is in it."""
+        """One frame. Never raises for what is in it. Nothing comes of it once the page is closed: of a browser that was
+        signed out, orders may wait to be read."""
+        if self._closed:
+            return
         # parse; a malformed message is refused
         received_at = self._loop.time()
         try:
@@ -391,6 +394,11 @@ class PageClient:
             return
         # pass it on
         self._start(self._answer(request, params, ends_flight), order=self._is_order(method))
+
+    @property
+    def closed(self) -> bool:
+        """True after `close`."""
+        return self._closed
 
     @property
     def ending_waiting(self) -> int:

@@ -17,6 +17,7 @@ from skygcs.web.paced_handler import (
     MOST_WAITING_BYTES,
     PIECE_BYTES,
     SHORTEST_PAUSE_S,
+    Lane,
     PacedHandler,
     pause_after_s,
 )
@@ -53,13 +54,13 @@ class Transport(asyncio.Transport):
 class Rig:
     """A connection whose bytes go to a list; each piece takes ``took_s``."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, took_s: float = TOOK_S) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, took_s: float = TOOK_S, lane: Lane | None = None) -> None:
         self.now = 0.0
         self.given: list[bytes] = []
         self.took_s = took_s
         self.fails = False
         monkeypatch.setattr(RequestHandler, "data_received", lambda _, data: self.give(data))
-        self.handler = PacedHandler(web.Server(lambda request: web.Response()), lambda: self.now)  # type: ignore[arg-type]
+        self.handler = PacedHandler(web.Server(lambda request: web.Response()), lane or Lane(0.0), lambda: self.now)  # type: ignore[arg-type]
         self.transport = Transport()
         self.handler.transport = self.transport
 
@@ -98,7 +99,7 @@ async def test_whatever_a_message_cost_the_stop_behind_it_waits_no_longer_than_t
 
 
 async def test_a_process_that_stands_still_costs_its_pages_nothing() -> None:
-    handler = PacedHandler(web.Server(lambda request: web.Response()))  # type: ignore[arg-type]
+    handler = PacedHandler(web.Server(lambda request: web.Response()), Lane(0.0))  # type: ignore[arg-type]
     before_s = handler._clock()
     time.sleep(0.05)  # noqa: ASYNC251 - the whole process, as when it is stopped
     assert handler._clock() - before_s < 0.025
@@ -157,7 +158,7 @@ async def test_what_comes_before_it_is_asked_for_is_held_as_aiohttp_holds_it_and
             taken += 1
         return socket
 
-    handler, transport = PacedHandler(web.Server(answer)), Transport()
+    handler, transport = PacedHandler(web.Server(answer), Lane(0.0)), Transport()
     handler.connection_made(transport)
     handler.data_received(first + 900 * then)  # all of it: nothing comes later that would have it go on
     await asyncio.sleep(100.0)
@@ -202,3 +203,39 @@ async def test_a_failure_of_aiohttps_in_a_later_turn_ends_the_connection(monkeyp
     rig.fails = True
     await asyncio.sleep(1.0)
     assert rig.transport.aborted and [str(error) for error in reported] == ["of aiohttp"]
+
+
+async def test_connections_of_one_lane_take_no_more_of_the_loop_than_one_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop, lane = asyncio.get_running_loop(), Lane(0.0)
+    rigs = [Rig(monkeypatch, lane=lane) for _ in range(20)]
+
+    def give(handler: PacedHandler, data: bytes) -> None:
+        next(rig for rig in rigs if rig.handler is handler).give(data)
+
+    monkeypatch.setattr(RequestHandler, "data_received", give)
+    for rig in rigs:
+        rig.handler.data_received(bytes(20 * PIECE_BYTES))
+    assert lane.busy == 20
+    await asyncio.sleep(2.0)
+    before, began = sum(len(rig.given) for rig in rigs), loop.time()
+    await asyncio.sleep(4.0)
+    assert sum(len(rig.given) for rig in rigs) - before <= 1 + (loop.time() - began) / (9 * TOOK_S)
+    rigs[0].handler.join(other := Lane(0.0))
+    assert (lane.busy, other.busy) == (19, 1)
+    for rig in rigs:
+        rig.handler.connection_lost(None)
+    assert (lane.busy, other.busy) == (0, 0)
+
+
+async def test_of_many_connections_that_end_with_a_flood_each_has_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    lane, given = Lane(0.0), []
+    for _ in range(20):
+        rig = Rig(monkeypatch, lane=lane)
+        rig.handler.data_received(b"goto")
+        rig.handler.data_received(b"stop" + bytes(20 * PIECE_BYTES))
+        rig.handler.connection_lost(None)
+        assert rig.given[1].startswith(b"stop")
+        given.append(len(rig.given) - 1)
+    assert given[-1] == 1 and sum(given) <= 20 + LAST_COST_S / TOOK_S + 1

@@ -462,3 +462,14 @@ async def test_a_page_that_comes_later_gets_the_newest_plan_until_the_daemon_is_
     _, later = bench.page(rate_hz=10)
     await asyncio.sleep(0.1)
     assert later.sent == []
+
+
+async def test_nothing_comes_of_what_waits_on_a_page_that_was_closed(bench: Bench) -> None:
+    """Of a browser that was signed out, thousands of messages may not have been read yet, with an order among them."""
+    page, _ = bench.page()
+    bench.pages.close_pages()
+    page.on_message(request("vehicles.arm", targets="all", deadline_s=bench.pages.loop.time() + 3.0))
+    page.on_message('{"jsonrpc":"2.0","method":"operator.active"}')
+    page.on_message("no JSON")
+    await asyncio.sleep(1.0)
+    assert page.closed and bench.source.calls == [] and bench.source.active == 0

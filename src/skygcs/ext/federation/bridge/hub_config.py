@@ -82,18 +82,16 @@ def permissions(inventory: HubInventory, name: str) -> Permissions:
         return Permissions(asks, reads, False)
     asks += ["log.*", *_file_reads()]
     asks += [f"{kind}{site}.*.{user.nkey}" for site in ordered for kind in (ORDERS, STOPS)]
-    asks += [f"lease.{site}.*.request" for site in ordered]
     if user.role == "operator":
         return Permissions(asks, reads, False)
     asked = [f"bridge.{name}", f"here.{name}", f"state.{name}.full.*", f"{ORDERS}{name}.*.*", f"{STOPS}{name}.*.*"]
     asked.append(f"log.{name}")
-    asked += [f"lease.{site}.*.request" for site in (name, *ordered)]
+    requests = [f"lease.{site}.*.request" for site in (name, *ordered)]
     sends = [f"state.{name}.fast", f"state.{name}.slow", f"event.{name}", f"audit.{name}", f"bridge.{name}"]
-    sends.append(f"lease.{name}.*.request")
     leases = [f"$KV.{LEASES}.{site}.*" for site in (name, *ordered)]
     kept = [f"$JS.API.STREAM.INFO.KV_{LEASES}", f"$JS.API.STREAM.MSG.GET.KV_{LEASES}"]
     files = [f"$O.{LOGS}.C.*", f"$O.{LOGS}.M.*"]
-    return Permissions([*asks, *sends, *leases, *kept, *files], [*reads, *asked], True)
+    return Permissions([*asks, *sends, *requests, *leases, *kept, *files], [*reads, *asked, *requests], True)
 
 
 def _file_reads() -> list[str]:

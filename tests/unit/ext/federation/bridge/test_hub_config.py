@@ -27,6 +27,13 @@ def test_an_observer_may_ask_and_nothing_else() -> None:
     assert not [s for s in allowed.subscribe if s.startswith(("cmd", "stop", "lease", "$", "_INBOX_."))]
 
 
+def test_an_operator_asks_no_holder_to_release_a_lease_that_it_may_not_take() -> None:
+    """Its requests had a home give its vehicle up again and again, although nobody then took it."""
+    assert not [subject for subject in permissions(inventory(), "boss").publish if "lease" in subject.lower()]
+    asked = [subject for subject in permissions(inventory(), "north").publish if subject.startswith("lease.")]
+    assert asked == ["lease.north.*.request", "lease.south.*.request"]
+
+
 @each("name", KEYS)
 def test_nobody_has_what_leads_around_the_lists(name: str) -> None:
     allowed = permissions(inventory(), name)

@@ -258,6 +258,15 @@ async def test_a_bridge_that_is_killed_goes_on_with_what_its_daemon_has() -> Non
         await second.end()
 
 
+async def test_a_bridge_that_comes_again_knows_by_its_daemon_that_the_hub_is_not_new() -> None:
+    async with sites() as (north, _, hub):
+        await north.end()
+        second = Site("north", hub)
+        second.link.gate = north.link.gate
+        assert await second.until(lambda: second.sends) < NEW_HUB_S - 1.0
+        await second.end()
+
+
 # -- the hub
 
 
