@@ -294,6 +294,27 @@ async def test_a_trajectory_across_the_way_that_another_one_has_still_to_fly_is_
             await gcs.done("trajectory.start", targets="v1")
 
 
+@pytest.mark.parametrize("order", ["goto", "mission"])
+async def test_nobody_is_sent_onto_a_trajectory_that_another_one_follows(order: str, tmp_path: Path) -> None:
+    """It counted where it was, or as flying straight on."""
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[30.0, 30.0, 10.0])
+        await asyncio.sleep(20.0)
+        rows = [(3, 16, 0, 0, 0, 0, *FIELD.to_geodetic(30.0, north), 10.0) for north in (20.0, -20.0)]
+        await gcs("missions.upload", targets="v2", plan=waypoints(*rows).decode(), name="m.waypoints")
+        await ready_on(gcs, "v1", 35.0, 60.0)
+        await gcs.done("trajectory.start", targets="v1")
+        await asyncio.sleep(2.0)
+        if order == "goto":
+            outcome = await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0])
+        else:
+            outcome = await gcs.outcome("missions.start", "v2")
+        assert not outcome["ok"] and "near v1 (on its trajectory)" in outcome["message"], outcome
+        await asyncio.sleep(65.0)
+        outcome = await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0])
+        assert outcome["ok"], "it has come to its end"
+
+
 @covered_by_other_flights
 async def test_trajectories_that_meet_later_are_refused_whether_one_flies_already_or_not(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=2) as gcs:

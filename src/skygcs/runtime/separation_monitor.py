@@ -73,6 +73,10 @@ SHARE = 0.1
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
 
+MOST_POINTS = 120
+"""Points of the way that a vehicle has still to fly on its trajectory: a minute of it bows by 0.1 m between two, as
+`PLAN_STEP_S` does."""
+
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
 
@@ -173,6 +177,17 @@ class SeparationMonitor:
             return []
         steps = round(HORIZON_S / PLAN_STEP_S)
         return [frame.to_geodetic(*point) for point in flight.ahead(now, PLAN_STEP_S, steps)]
+
+    def _rest_of_trajectory(self, actor: VehicleActor) -> list[Place]:
+        """Where it will be until the end of the trajectory that it follows: `MOST_POINTS` at most; empty: it follows
+        none, or that stands."""
+        flight, frame = actor.offboard.controller.flight, actor.offboard.controller.frame
+        now = self._loop.time()
+        left_s = 0.0 if flight is None else _left_s(flight.clock, now)
+        if flight is None or frame is None or left_s == 0.0:
+            return []
+        steps = min(MOST_POINTS, math.ceil(left_s / PLAN_STEP_S))
+        return [frame.to_geodetic(*flight.foreseen(now + left_s * n / steps)) for n in range(steps + 1)]
 
     def _settings(self, key: int, actor: VehicleActor) -> tuple[Footprint, int]:
         known = self._footprints.get(key)
@@ -420,13 +435,17 @@ class SeparationMonitor:
         destination = self._destination(track.key)
         holds = holding_disc(Other(track, destination), frame)
         points = [frame.from_ecef(track.ecef_m), holds.middle_m]
-        if ahead and destination is None and not track.parked and not track.lost:
-            points += [frame.from_geodetic(*place) for place in self._trajectory(actor)] or _ahead(points[0], track)
+        doing = _doing(track, "in the air")
+        if destination is None and not track.parked and not track.lost:
+            if planned := self._rest_of_trajectory(actor):
+                doing = "on its trajectory"
+            elif ahead:
+                planned = self._trajectory(actor)
+            points += [frame.from_geodetic(*place) for place in planned]
+            points += _ahead(points[0], track) if ahead and not planned else []
         turns = () if destination is None else _turning(track, points[0], _along(track, frame), points[-1])
         ball_m = self._ball_m(track) + holds.radius_m
-        return Way(
-            track.key, track.name, self.footprint(actor), sloped(points) + turns, ball_m, _doing(track, "in the air")
-        )
+        return Way(track.key, track.name, self.footprint(actor), sloped(points) + turns, ball_m, doing)
 
     def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
         """The home of one that comes home or down, by whatever order or failsafe; None: it does not, or not so that its
@@ -473,7 +492,11 @@ class SeparationMonitor:
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
-            place = self._goes_to(actor, track)
+            if track.parked or actor.offboard.controller.flight is None:
+                place = self._goes_to(actor, track)
+            elif self._rest_of_trajectory(actor):
+                yield self._way_left(actor, track, frame)
+                continue
             if place is None:
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)

@@ -510,5 +510,5 @@ class _BesideWay:
         return distance_m(replace(self._mine, legs=standing(here)), self._way)
 
     def nearest(self, here: Vector, there: Vector, step_s: float) -> tuple[float, float]:
-        """As of two courses; when is as exact as one step."""
+        """The least distance on one chord, and when: the begin of the step."""
         return distance_m(replace(self._mine, legs=along((here, there))), self._way), 0.0
