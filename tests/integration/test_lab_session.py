@@ -76,15 +76,14 @@ async def in_formation(gcs: Flown) -> None:
 
 
 async def survey(gcs: Flown) -> None:
-    """Two lanes of three vehicles, 4 m apart, and home."""
-    places = [(0.0, 5.0), (0.0, 30.0), (14.0, 30.0), (14.0, 5.0)]
-    rows = [(3, mav_cmd.NAV_WAYPOINT, 0, 0, 0, 0, *FIELD.to_geodetic(*place), 8.0) for place in places]
-    rows.append((3, mav_cmd.NAV_RETURN_TO_LAUNCH, 0, 0, 0, 0, 0, 0, 0))
-    arranged: dict[str, Any] = {
-        "plan": waypoints(*rows).decode(),
-        "arrangement": {"kind": "present"},
-    }
-    await gcs.done("missions.upload", targets="v1,v2,v3", **arranged)
+    """Three vehicles, each with a strip of its own beside that of the next one, from the ground and home."""
+    for n, name in enumerate(("v1", "v2", "v3")):
+        pad, east = gcs.place_of_home(name)[:2], 6.0 * n
+        places = [pad, (east + 3.0, 10.0), (east + 3.0, 30.0), (east, 30.0), (east, 10.0)]
+        rows = [(3, mav_cmd.NAV_WAYPOINT, 0, 0, 0, 0, *FIELD.to_geodetic(*place), 8.0) for place in places]
+        rows[0] = (3, mav_cmd.NAV_TAKEOFF, *rows[0][2:])
+        rows.append((3, mav_cmd.NAV_RETURN_TO_LAUNCH, 0, 0, 0, 0, 0, 0, 0))
+        await gcs.done("missions.upload", targets=name, plan=waypoints(*rows).decode())
     await gcs.done("missions.start", targets="v1,v2,v3")
     await asyncio.sleep(30.0)
 
@@ -107,6 +106,8 @@ async def test_nothing_of_an_ordinary_session_is_refused_for_its_distance(tmp_pa
             await down(gcs)
             await up(gcs, "v1,v2,v3")
             await in_formation(gcs)
+            await gcs.done("vehicles.rtl", targets="v1,v2,v3")
+            await down(gcs)
             await survey(gcs)
             await down(gcs)
             await up(gcs, "v1,v4,v7")
