@@ -310,9 +310,10 @@ async def test_nobody_is_sent_onto_a_trajectory_that_another_one_follows(order: 
         else:
             outcome = await gcs.outcome("missions.start", "v2")
         assert not outcome["ok"] and "near v1 (on its trajectory)" in outcome["message"], outcome
-        await asyncio.sleep(65.0)
-        outcome = await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0])
-        assert outcome["ok"], "it has come to its end"
+        # where it was stopped it stands
+        await gcs.done("trajectory.pause", targets="v1")
+        await asyncio.sleep(3.0)
+        assert (await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0]))["ok"]
 
 
 @covered_by_other_flights

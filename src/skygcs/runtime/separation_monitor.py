@@ -492,11 +492,9 @@ class SeparationMonitor:
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
-            if track.parked or actor.offboard.controller.flight is None:
-                place = self._goes_to(actor, track)
-            elif self._rest_of_trajectory(actor):
+            place = self._goes_to(actor, track)
+            if place is None and not track.parked and self._rest_of_trajectory(actor):
                 yield self._way_left(actor, track, frame)
-                continue
             if place is None:
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
