@@ -24,6 +24,7 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     space_conflict,
     takeoff_conflict,
+    turning_points,
 )
 from skygcs.core.monitor.tracks import Place, Track
 from skygcs.core.monitor.ways import Way, sloped, standing
@@ -134,6 +135,22 @@ def test_a_way_counts_all_the_time(aside_m: float, ball_m: float, found: bool) -
     assert not conflicts(straight(1, (0.0, 0.0, 20.0), (2.0, 0.0, 0.0)), across, end_s=190.0), "it stops before"
     curved = Course(1, "v1", Footprint(), lambda at_s: (2.0 * at_s, 0.0, 20.0), 2.0, bow_m=0.1)
     assert bool(conflicts(curved, across, end_s=300.0)) is (found or aside_m < NEED_M + 0.1)
+
+
+@each(("bows_m", "found"), [((0.2, 0.1), True), ((0.1, 0.1), False)])
+def test_what_both_bow_out_counts_also_of_slow_ones(bows_m: tuple[float, float], found: bool) -> None:
+    a = replace(straight(1, (0.0, 0.0, 20.0), (0.4, 0.0, 0.0)), bow_m=bows_m[0])
+    b = replace(straight(2, (40.0, NEED_M + 0.25, 20.0), (-0.4, 0.0, 0.0)), bow_m=bows_m[1])
+    assert bool(conflicts(a, b, end_s=300.0)) is found
+
+
+def test_three_jumps_of_the_velocity_may_bow_one_chord() -> None:
+    """To 3 m/s in a second, there from 3 to 2 m/s at once, and to rest in another one."""
+    pieces = [Piece(1.0, (0.0, 0.0, 1.5), (0.0,), (20.0,)), Piece(1.0, (1.5, 2.0, -1.0), (0.0,), (20.0,))]
+    jumps_m = 0.25 * 1.0 / 4.0 * (2.0 + 0.25 / 1.0)
+    assert bow_m(LoadedTrajectory(Trajectory(pieces)), 1.0, 0.0) == pytest.approx(
+        0.25**2 * 3.0 / 8.0 + jumps_m, rel=0.01
+    )
 
 
 @each(("velocity", "found"), [((0.0, -1.0, 0.0), False), ((0.0, 1.0, 0.0), True)])
@@ -270,6 +287,7 @@ def test_a_take_off_is_compared_with_each_other(height_m: float, there: Other, f
         ((20.0, 0.0, 0.0), (0.0, 0.0, 0.0), other(20.0, 9.0, 0.0, vel=(0.0, -1.0, 0.0)), False),  # it gets there in 4 s
         (None, (2.0, 0.0, 0.0), other(8.4, 0.0, 0.0), True),  # 3 s of it
         (None, (2.0, 0.0, 0.0), other(8.6, 0.0, 0.0), False),
+        (None, (-2.0, 0.0, 0.0), other(2.0, 0.0, 0.0), False),  # too near already, and away from it
         (None, (0.0, 0.0, 0.0), other(5.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), True),
         (None, (0.0, 0.0, 0.0), other(6.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), False),
     ],
@@ -304,6 +322,14 @@ def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector
     for text in (goto_conflict(moves, at(*to), [other(*place)], NOW), space_conflict(moves, at(*to), [way])):
         assert (text is not None) is found, text
         assert text is None or text.endswith(", before it has turned there"), text
+
+
+def test_it_turns_alike_wherever_it_is() -> None:
+    here, to = (5.0, -7.0, 3.0), (45.0, 4.0, -6.0)
+    moved = turning_points((0.0, 0.0, 0.0), FAST, 2.0, (40.0, 11.0, -9.0))
+    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 2.0, to) == (here,)
+    for point, other_point in zip(turning_points(here, FAST, 2.0, to), moved, strict=True):
+        assert point == pytest.approx([p + q for p, q in zip(other_point, here, strict=True)])
 
 
 @each(
