@@ -35,3 +35,22 @@ async def test_nobody_is_sent_to_the_place_of_one_that_is_silent(tmp_path: Path,
         assert forgotten["ok"]
         await asyncio.sleep(1.0)
         assert (await gcs.outcome("vehicles.goto", enu_m=there))["ok"]
+
+
+@KINDS
+async def test_one_that_was_lost_on_its_way_home_is_in_the_way_all_the_way(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    """It counted only where it was heard last: another one was sent to hover above its home."""
+    async with aloft(tmp_path, **kind) as gcs:
+        home = gcs.place_of_home("v2")
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[home[0], 200.0, 10.0])
+        await asyncio.sleep(60.0)
+        await gcs.done("vehicles.rtl", targets="v2")
+        await asyncio.sleep(2.0)
+        gcs.muted.add(2)
+        await asyncio.sleep(15.0)
+        for there in ([home[0], home[1], 6.0], [home[0], 30.0, 14.0]):
+            outcome = await gcs.outcome("vehicles.goto", enu_m=there)
+            assert "near v2 (lost in the air; once you know" in outcome["message"], outcome
+        assert (await gcs.outcome("vehicles.goto", enu_m=[home[0] - 20.0, 30.0, 10.0]))["ok"]

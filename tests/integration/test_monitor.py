@@ -16,7 +16,8 @@ from skygcs.core.geo import EnuFrame
 from skygcs.sim.conditions import Conditions, Dynamics
 from support.encounters import KINDS, arena, encounter, judge
 from support.examples import covered_by_other_flights
-from support.flown import Flown, aloft, flown
+from support.flown import FIELD, Flown, aloft, flown
+from support.made_files import waypoints
 
 pytestmark = pytest.mark.looptime
 
@@ -90,6 +91,29 @@ async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(t
             assert refused_for(outcomes, "v2", "v1"), outcomes
             await gcs.until(lambda: gcs.place("v1")[2] > 8.5, 30.0)
             await gcs.done("vehicles.goto", targets="v1", enu_m=[-8.0, 0.0, 9.0])
+
+
+@pytest.mark.parametrize("order", ["goto", "mission"])
+async def test_nobody_is_sent_so_that_it_turns_into_another_one(order: str, tmp_path: Path) -> None:
+    """What flies fast was taken to leave for its new place from where it was, without the space in which it turns."""
+    async with aloft(tmp_path, px4=3, conditions=EXACT) as gcs:
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[-40.0, 0.0, 10.0])
+        rows = [(3, 16, 0, 0, 0, 0, *FIELD.to_geodetic(east, 60.0), 10.0) for east in (-13.0, -14.0)]
+        await gcs("missions.upload", targets="v1", plan=waypoints(*rows).decode(), name="m.waypoints")
+        await asyncio.sleep(15.0)
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[-5.5, 5.0, 10.0])
+        await asyncio.sleep(10.0)
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 0.0, 10.0])
+        await gcs.until(lambda: gcs.place("v1")[0] > -14.0)
+        method, where = ("vehicles.goto", {"enu_m": [-13.0, 60.0, 10.0]}) if order == "goto" else ("missions.start", {})
+        outcomes = (await gcs(method, targets="v1", **where))["outcomes"]
+        assert refused_for(outcomes, "v1", "v2"), outcomes
+        # from rest it may
+        await gcs.done("vehicles.hold", targets="v1")
+        await asyncio.sleep(5.0)
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[-40.0, 0.0, 10.0])
+        await asyncio.sleep(20.0)
+        await gcs.done(method, targets="v1", **where)
 
 
 @pytest.mark.parametrize("ends", ["by a hold", "disarmed"])
@@ -247,6 +271,49 @@ async def test_a_trajectory_into_a_vehicle_that_stands_or_is_parked_is_refused_u
         await gcs.done("trajectory.start", targets="v1")  # at 10 m over one on the ground
         await asyncio.sleep(15.0)
         assert abs(gcs.place("v1")[0] - 10.0) < 0.5
+
+
+@pytest.mark.parametrize("doing", ["is sent", "returns"])
+async def test_a_trajectory_across_the_way_that_another_one_has_still_to_fly_is_refused(
+    doing: str, tmp_path: Path
+) -> None:
+    """It was taken to be past by then, at 5 m/s; and one that returns to fly straight on."""
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[20.0, 30.0, 10.0])
+        await asyncio.sleep(20.0)
+        await ready_on(gcs, "v1", 40.0, 60.0)
+        there = [20.0, -30.0, 10.0]
+        await gcs.done("vehicles.goto", targets="v2", enu_m=there)
+        if doing == "returns":
+            await asyncio.sleep(25.0)
+            await gcs.done("vehicles.rtl", targets="v2")
+        refused = await gcs.outcome("trajectory.start", "v1")
+        assert not refused["ok"] and " near v2 (" in refused["message"], refused
+        if doing == "is sent":
+            await asyncio.sleep(30.0)
+            await gcs.done("trajectory.start", targets="v1")
+
+
+@pytest.mark.parametrize("order", ["goto", "mission"])
+async def test_nobody_is_sent_onto_a_trajectory_that_another_one_follows(order: str, tmp_path: Path) -> None:
+    """It counted where it was, or as flying straight on."""
+    async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[30.0, 30.0, 10.0])
+        await asyncio.sleep(20.0)
+        rows = [(3, 16, 0, 0, 0, 0, *FIELD.to_geodetic(30.0, north), 10.0) for north in (20.0, -20.0)]
+        await gcs("missions.upload", targets="v2", plan=waypoints(*rows).decode(), name="m.waypoints")
+        await ready_on(gcs, "v1", 35.0, 60.0)
+        await gcs.done("trajectory.start", targets="v1")
+        await asyncio.sleep(2.0)
+        if order == "goto":
+            outcome = await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0])
+        else:
+            outcome = await gcs.outcome("missions.start", "v2")
+        assert not outcome["ok"] and "near v1 (on its trajectory)" in outcome["message"], outcome
+        # where it was stopped it stands
+        await gcs.done("trajectory.pause", targets="v1")
+        await asyncio.sleep(3.0)
+        assert (await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0]))["ok"]
 
 
 @covered_by_other_flights

@@ -386,7 +386,7 @@ def let_its_disk_finish(daemon: Daemon) -> None:
         assert not writer._thread.is_alive()
 
 
-def _put_up(sim: SimVehicle, height_m: float, now: float) -> None:
+def put_up(sim: SimVehicle, height_m: float, now: float) -> None:
     """Armed, hovering, in the mode in which a take-off leaves it."""
     sim.arm(now)
     sim.armed_at = now - SPOOLED_UP_S
@@ -463,7 +463,7 @@ async def flown(
             await asyncio.sleep(ASKS_S if in_air else 7.0)  # the estimators converge, and the daemon asks
             if in_air:
                 for sim in sims:
-                    _put_up(sim, height_m, daemon.now())
+                    put_up(sim, height_m, daemon.now())
             elif takeoff:
                 await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
                 await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)

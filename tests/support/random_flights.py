@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import math
 import random
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -299,6 +299,8 @@ class Judged:
     attended_again: int
     holds: int
     done: tuple[str, ...]
+    accepted: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """By kind of order, how many of those that were asked for were accepted."""
 
 
 async def fly_randomly(tmp_path: Path, seed: int) -> Judged:

@@ -86,6 +86,9 @@ AtEnd = Literal["hold", "land"]
 HOLDS_IN = frozenset({"AUTO.LOITER", "GUIDED", "BRAKE"})
 """Modes of a PX4 and of an ArduCopter in which an order to hold leaves it."""
 
+ELSEWHERE = frozenset({"goto", "hold", "takeoff"})
+"""Orders after which a vehicle is no longer on its way home by an older one."""
+
 LANDS = frozenset({"land", "stop"})
 """Orders that may bring it down where it is, from the moment they are sent."""
 
@@ -158,7 +161,7 @@ class Returns:
         way."""
         self._waiting: dict[int, Waiting] = {}
         self._deciding = asyncio.Lock()
-        self._left_at: dict[int, float] = {}
+        self._left_at: dict[int, tuple[float, int]] = {}
         self._heights: dict[int, ReturnHeight] = {}
         """Heights that were read in this round, where the vehicle itself keeps none."""
         self._reading: dict[int, asyncio.Task[None]] = {}
@@ -208,7 +211,9 @@ class Returns:
         self._members |= {actor.vehicle.key: actor for actor in known}
         # who goes home already, or by its own failsafe, is not held
         free = [actor for actor in known if why_not_held(actor.vehicle) is None and not self._leaves(actor)]
-        self._left_at |= dict.fromkeys((a.vehicle.key for a in known if a not in free), now)
+        for actor in known:
+            if actor not in free:
+                self._leaves_now(actor)
         decided = await self._decide(free, alone=alone is not None)
         if alone is not None and alone.vehicle.key in decided.leave:
             self._join(alone)
@@ -229,7 +234,7 @@ class Returns:
                 waits.has_waited, waits.order_number = True, older.order_number
                 waits.goal_m, waits.custom_mode = older.goal_m, older.custom_mode
             if step is Step.LEAVES:
-                self._left_at[key] = now
+                self._leaves_now(actor)
             self._waiting[key] = begun[actor] = waits
         return begun
 
@@ -277,7 +282,17 @@ class Returns:
         """A single vehicle is sent home: those that wait, or are to, keep clear of its way, too."""
         self._leave_out_gone()
         self._members[actor.vehicle.key] = actor
-        self._left_at[actor.vehicle.key] = self._loop.time()
+        self._leaves_now(actor)
+
+    def _leaves_now(self, actor: VehicleActor) -> None:
+        self._left_at[actor.vehicle.key] = self._loop.time(), actor.runner.ledger.number
+
+    def _has_left(self, actor: VehicleActor, now: float) -> bool:
+        """True if it was sent home in the last `TAKES_S`, and nowhere else since."""
+        at, number = self._left_at.get(actor.vehicle.key, (-math.inf, 0))
+        ledger = actor.runner.ledger
+        elsewhere = ledger.effective > number and ledger.effective_order in ELSEWHERE
+        return now - at < TAKES_S and not elsewhere
 
     def waits(self, key: int) -> bool:
         """True if the vehicle holds, or climbs, until it is sent home by this round."""
@@ -331,7 +346,8 @@ class Returns:
             return self._spared(waits, f"it is in {actor.vehicle.mode}")
         if outcome.result == "cancelled" or waits.has_waited:
             return outcome
-        waits.step, self._left_at[actor.vehicle.key] = Step.LEAVES, self._loop.time()
+        waits.step = Step.LEAVES
+        self._leaves_now(actor)
         return await self._return_now(waits)
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
@@ -455,7 +471,7 @@ class Returns:
     def _gone(self, waits: Waiting) -> None:
         """Note that a vehicle is on its way home."""
         self._drop(waits, None)
-        self._left_at[waits.actor.vehicle.key] = self._loop.time()
+        self._leaves_now(waits.actor)
 
     def _leaves(self, actor: VehicleActor) -> bool:
         waits = self._waiting.get(actor.vehicle.key)
@@ -464,7 +480,7 @@ class Returns:
     def _is_under_way(self, actor: VehicleActor, now: float) -> bool:
         """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`."""
         key, vehicle = actor.vehicle.key, actor.vehicle
-        left = now - self._left_at.get(key, -math.inf) < TAKES_S or self._leaves(actor)
+        left = self._has_left(actor, now) or self._leaves(actor)
         comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
         return is_flying(vehicle, now) and key not in self._staying and comes
 
@@ -539,7 +555,7 @@ class Returns:
                 continue  # its own failsafe may be about to act, and must not be broken off
             waits.step = Step.LEAVES if goal_m is None else Step.CLIMBS
             if goal_m is None:
-                self._left_at[key] = now
+                self._leaves_now(waits.actor)
             work = self._leave(waits) if goal_m is None else self._climb(waits, goal_m)
             self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
         if self._is_read():  # what was not ordered to return may be ordered away yet
@@ -617,7 +633,7 @@ class Returns:
         for key, actor in self._members.items():
             one = self._returning(actor, now)
             here = None if one is None or not is_flying(actor.vehicle, now) else one.here
-            left = now - self._left_at.get(key, -math.inf) < TAKES_S
+            left = self._has_left(actor, now)
             ours = left or key in self._waiting or actor.vehicle.mode in COMING_HOME
             self._progress.note(key, here, now, ours=ours)
         return self._progress.goes_on(now)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
-from skygcs.core.geo import EnuFrame
+from skygcs.core.geo import EnuFrame, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
@@ -22,6 +22,7 @@ from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
     FORGET,
     FRESH_S,
+    Course,
     Mover,
     Other,
     climb_out_end,
@@ -34,9 +35,20 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     space_conflict,
     takeoff_conflict,
+    turning,
 )
-from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, Member, Place, Track, way_to
-from skygcs.core.monitor.ways import Way, are_apart, find_way_conflicts, sloped
+from skygcs.core.monitor.tracks import (
+    PLAN_STEP_S,
+    TRACK_SILENT_S,
+    USUAL_BRAKE_MPS2,
+    Member,
+    Place,
+    Track,
+    is_flying,
+    leads,
+    way_to,
+)
+from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -60,6 +72,10 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
+
+MOST_POINTS = 120
+"""Points of the way that a vehicle has still to fly on its trajectory: a minute of it bows by 0.1 m between two, as
+`PLAN_STEP_S` does."""
 
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
@@ -161,6 +177,17 @@ class SeparationMonitor:
             return []
         steps = round(HORIZON_S / PLAN_STEP_S)
         return [frame.to_geodetic(*point) for point in flight.ahead(now, PLAN_STEP_S, steps)]
+
+    def _rest_of_trajectory(self, actor: VehicleActor) -> list[Place]:
+        """Where it will be until the end of the trajectory that it follows: `MOST_POINTS` at most; empty: it follows
+        none, or that stands."""
+        flight, frame = actor.offboard.controller.flight, actor.offboard.controller.frame
+        now = self._loop.time()
+        left_s = 0.0 if flight is None else _left_s(flight.clock, now)
+        if flight is None or frame is None or left_s == 0.0:
+            return []
+        steps = min(MOST_POINTS, math.ceil(left_s / PLAN_STEP_S))
+        return [frame.to_geodetic(*flight.foreseen(now + left_s * n / steps)) for n in range(steps + 1)]
 
     def _settings(self, key: int, actor: VehicleActor) -> tuple[Footprint, int]:
         known = self._footprints.get(key)
@@ -277,7 +304,8 @@ class SeparationMonitor:
             return {}
         now, frame = self._loop.time(), EnuFrame(origin)
         # trajectories that are about to start
-        movers, others, end_s = [], [], 0.0
+        movers, end_s = list[Course](), 0.0
+        others: list[Course | Way] = []
         for actor, loaded in starting.items():
             movers.append(
                 on_trajectory(actor.vehicle, self.footprint(actor), loaded, clock, _places(loaded, clock, now))
@@ -290,8 +318,10 @@ class SeparationMonitor:
                 continue
             flight, local = other.offboard.controller.flight, other.offboard.controller.frame
             if flight is None or local is None:
-                courses = (one.destination for one in self._present(track, sent=True))
-                others += [of_track(track, destination, frame, now) for destination in courses]
+                if any(one.destination is None for one in self._present(track, sent=True)):
+                    others.append(of_track(track, frame, now))
+                if self._goes_to(other, track) is not None:
+                    others.append(self._way_left(other, track, frame))
                 continue
             at = _places_in(frame, local, flight, now)
             others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
@@ -378,9 +408,10 @@ class SeparationMonitor:
         run = run._replace(return_end=ends)
         if run.returns and run.height == UNKNOWN:
             run = run._replace(height=known_return_height(vehicle))
-        return mission_way(
-            mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m
-        )
+        way = mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m)
+        here, first = frame.from_geodetic(*mover.here), way.legs[min(1, len(way.legs) - 1)]
+        turns = _turning(mover, here, mover.velocity_mps, (*first.end, here[2]))
+        return replace(way, legs=(*way.legs, *turns)) if turns else way
 
     def present_ways(
         self, frame: EnuFrame, without: Collection[int], *, parked: bool = False
@@ -404,11 +435,17 @@ class SeparationMonitor:
         destination = self._destination(track.key)
         holds = holding_disc(Other(track, destination), frame)
         points = [frame.from_ecef(track.ecef_m), holds.middle_m]
-        if ahead and destination is None and not track.parked and not track.lost:
-            points += [frame.from_geodetic(*place) for place in self._trajectory(actor)] or _ahead(points[0], track)
-        doing = f"lost in the air{FORGET.format(name=track.name)}" if track.lost else "in the air"
+        doing = _doing(track, "in the air")
+        if destination is None and not track.parked and not track.lost:
+            if planned := self._rest_of_trajectory(actor):
+                doing = "on its trajectory"
+            elif ahead:
+                planned = self._trajectory(actor)
+            points += [frame.from_geodetic(*place) for place in planned]
+            points += _ahead(points[0], track) if ahead and not planned else []
+        turns = () if destination is None else _turning(track, points[0], _along(track, frame), points[-1])
         ball_m = self._ball_m(track) + holds.radius_m
-        return Way(track.key, track.name, self.footprint(actor), sloped(points), ball_m, doing)
+        return Way(track.key, track.name, self.footprint(actor), sloped(points) + turns, ball_m, doing)
 
     def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
         """The home of one that comes home or down, by whatever order or failsafe; None: it does not, or not so that its
@@ -432,7 +469,17 @@ class SeparationMonitor:
             known_return_height(vehicle),
             lands=vehicle.mode in LANDING,
         )
-        return one.as_seen().way(under_way=True)
+        way = one.as_seen().way(under_way=True)
+        to = one.here if one.lands else (*one.home[:2], one.here[2])
+        turns = _turning(track, one.here, _along(track, frame), to)
+        return replace(way, legs=way.legs + turns, doing=_doing(track, way.doing))
+
+    def _goes_to(self, actor: VehicleActor, track: Track) -> Place | None:
+        """Where its way ends (`_way_left`) if it comes home or down, or was sent somewhere; None: neither."""
+        home = self._comes_home(actor, track)
+        if home is None:
+            return self._destination(track.key)
+        return home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]
 
     def _ways(
         self, mover: Mover, to: Place, together: frozenset[int] = frozenset(), *, only: frozenset[int] | None = None
@@ -441,23 +488,24 @@ class SeparationMonitor:
         line to that place; see `space_conflict`."""
         frame = mover_frame(mover)
         line = REST, frame.from_geodetic(*to)
-        for key, track in self.monitor.tracks.tracks.items():
+        for key, track in itertools.chain(self.monitor.tracks.tracks.items(), self.monitor.tracks.lost.items()):
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
-            comes, place = self._comes_home(actor, track), self._destination(key)
-            if comes is not None:
-                place = comes["lat_deg"], comes["lon_deg"], comes["alt_amsl_m"]
+            place = self._goes_to(actor, track)
+            if place is None and not track.parked and self._rest_of_trajectory(actor):
+                yield self._way_left(actor, track, frame)
             if place is None:
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
-            need_m = margin.total_m + ball_m
-            need = need_m, need_m, need_m * margin.downwash_ratio if comes is None else math.inf  # it may climb first
+            comes = self._comes_home(actor, track) is not None
+            need_m = margin.total_m + ball_m + mover.turns_m + track.turns_m
+            need = need_m, need_m, math.inf if comes else need_m * margin.downwash_ratio  # it may climb first
             if are_apart(line, (frame.from_ecef(track.ecef_m), frame.from_geodetic(*place)), need):
                 continue
             way = self._way_left(actor, track, frame)
             # its circle is compared at its end
-            yield replace(way, ball_m=ball_m) if comes is None else way
+            yield way if comes else replace(way, ball_m=ball_m)
 
     def _ball_m(self, track: Track) -> float:
         """How far it may be from where it was seen last."""
@@ -473,10 +521,14 @@ class SeparationMonitor:
         actor = self._actors.get(vehicle.key)
         if self.mode == "off" or actor is None or vehicle.ids.beside:
             return None
-        here = fresh_position(vehicle, self._loop.time())
-        if here is None or abs(here[0]) > 90.0:
+        now = self._loop.time()
+        here, position = fresh_position(vehicle, now), vehicle.telemetry("position")
+        if here is None or position is None or abs(here[0]) > 90.0:
             return None
-        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(self._loop.time()))
+        circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
+        east, north, up = position["vel_enu_mps"]
+        velocity = (east, north, up) if is_flying(vehicle, now) else REST
+        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
@@ -546,6 +598,22 @@ class SeparationMonitor:
             "took_s": round(self.took_s, 5),
             "longest_turn_s": round(self.longest_turn_s, 5),
         }
+
+
+def _doing(track: Track, doing: str) -> str:
+    return f"lost in the air{FORGET.format(name=track.name)}" if track.lost else doing
+
+
+def _along(track: Track, frame: EnuFrame) -> Vector:
+    """Its velocity in this frame."""
+    return world_from_enu(track.reported_mps, frame.origin)
+
+
+def _turning(one: Track | Mover, here: Vector, velocity: Vector, to: Vector) -> tuple[Leg, ...]:
+    """The space in which it turns to this place; nothing if it is seen to fly there already."""
+    if not one.turns_m or leads(velocity, (to[0] - here[0], to[1] - here[1], to[2] - here[2])):
+        return ()
+    return turning(here, velocity, one.brake_mps2, to)
 
 
 def _ahead(here_m: Vector, track: Track) -> list[Vector]:

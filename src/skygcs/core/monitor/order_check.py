@@ -10,14 +10,19 @@ The path of the order is a straight line, after which the vehicle stays.
     flies otherwise                           flying straight on for the horizon, while this one flies `GOTO_MPS`: a
                                               model, and the monitor goes on watching
 
+One that moves does not turn to a new place at once: the space in which it turns (`turning`) is part of its way, whether
+the order is for it or it is another one.
+
 Trajectories are checked against others, and each other, on all their way.
 
-Each vehicle has a course: its place at every time from now on. The others' courses are where they stand, the
-trajectories that they follow, the straight line to where skygcs has sent them, or straight on for the horizon.
+Each of them has a course: its place at every time from now on. The others' courses are where they stand, the
+trajectories that they follow, or straight on for the horizon. One that was sent somewhere, comes home or down has no
+course but a way, anywhere on which it may be all the time.
 
-Two courses are compared by conservative advancement: while they are far enough apart, time goes on by as long as they
-need to meet at their largest speeds, so nothing is missed and little is looked at. Where they are near, it goes on by
-`STEP_S`; between two such times both fly a chord, and what a curve can bow out of it is taken off their distance.
+Two courses, or a course and a way, are compared by conservative advancement: while they are far enough apart, time goes
+on by as long as they need to meet at their largest speeds, so nothing is missed and little is looked at. Where they are
+near, it goes on by `STEP_S`; between two such times both fly a chord, and what a curve can bow out of it is taken off
+their distance.
 """
 
 from __future__ import annotations
@@ -40,8 +45,8 @@ from skygcs.core.monitor.approach import (
     closest_on_paths,
 )
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, scaled_pieces
-from skygcs.core.monitor.tracks import TRACK_SILENT_S, Place, Track
-from skygcs.core.monitor.ways import Way, conflict_text, distance_m, sloped, standing, too_near
+from skygcs.core.monitor.tracks import TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
+from skygcs.core.monitor.ways import Leg, Way, along, conflict_text, distance_m, needed_m, sloped, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
@@ -83,6 +88,15 @@ class Mover:
     here: Place
     circle_m: float = 0.0
     """Radius of the circle by which it holds; 0: it stops."""
+    velocity_mps: Vector = REST
+    """True ENU."""
+    brake_mps2: float = USUAL_BRAKE_MPS2
+    """Its deceleration before it turns to another place."""
+
+    @property
+    def turns_m(self) -> float:
+        """How far it may come off its new way before it turns to that; 0 for what cannot stop: its circle counts."""
+        return 0.0 if self.circle_m else overshoot_m(self.velocity_mps, self.brake_mps2)
 
 
 class Other(NamedTuple):
@@ -115,6 +129,9 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
     frame, others = mover_frame(mover), list(others)
     end = frame.from_geodetic(*to)
     way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
+    if way is None and mover.turns_m:
+        turns = _through(turning_points(REST, mover.velocity_mps, mover.brake_mps2, end), HORIZON_S)
+        way = _before_it_turns(_conflict(mover, frame, turns, others, now))
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
     )
@@ -153,8 +170,11 @@ def setpoint_conflict(
 def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False) -> str | None:
     """With which of these ways (in `mover_frame`) the straight way to a place conflicts, in words, whichever of the two
     is where; None: with none. ``strict``: although it is not nearer there than it is."""
-    mine = Way(mover.key, mover.name, mover.footprint, sloped((REST, mover_frame(mover).from_geodetic(*to))))
-    here = replace(mine, legs=standing(REST))
+    end = mover_frame(mover).from_geodetic(*to)
+    straight = Way(mover.key, mover.name, mover.footprint, sloped((REST, end)))
+    here, mine = replace(straight, legs=standing(REST)), straight
+    if mover.turns_m:
+        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.brake_mps2, end))
     worst: tuple[float, Way] | None = None
     for way in ways:
         if not too_near(mine, way):
@@ -164,7 +184,35 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
             continue
         if worst is None or near_m < worst[0]:
             worst = near_m, way
-    return None if worst is None else conflict_text(mine, worst[1], worst[0])
+    if worst is None:
+        return None
+    text = conflict_text(mine, worst[1], worst[0])
+    return text if too_near(straight, worst[1]) else _before_it_turns(text)
+
+
+def turning_points(here: Vector, velocity_mps: Vector, brake_mps2: float, to: Vector) -> tuple[Vector, ...]:
+    """The outermost way from here to a place, on which it first brakes and then turns; only here if it stands.
+
+    It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
+    bows the way out by as much as it flies on (never beyond the place): the third of the points.
+    """
+    on_m = overshoot_m(velocity_mps, brake_mps2)
+    if on_m == 0.0:
+        return (here,)
+    stops = _moved(here, velocity_mps, on_m / math.hypot(*velocity_mps))
+    away_m = math.dist(here, to)
+    share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
+    return here, stops, _moved(stops, (to[0] - here[0], to[1] - here[1], to[2] - here[2]), share), to
+
+
+def turning(here: Vector, velocity_mps: Vector, brake_mps2: float, to: Vector) -> tuple[Leg, ...]:
+    """`turning_points` as space, to be added to a straight way; nothing if it stands."""
+    points = turning_points(here, velocity_mps, brake_mps2, to)
+    return sloped(points) if len(points) > 1 else ()
+
+
+def _before_it_turns(conflict: str | None) -> str | None:
+    return None if conflict is None else f"{conflict}, before it has turned there"
 
 
 def mover_frame(mover: Mover) -> EnuFrame:
@@ -195,6 +243,12 @@ def _straight(to: Vector, speed_mps: float, ahead_s: float) -> _Path:
         return _Path((), 0.0, ahead_s, False)
     velocity = (to[0] / duration_s, to[1] / duration_s, to[2] / duration_s)
     return _Path((Piece(duration_s, velocity),), duration_s, ahead_s, False)
+
+
+def _through(points: Sequence[Vector], ahead_s: float) -> _Path:
+    """Straight through these points, with `GOTO_MPS`."""
+    legs = [_straight((q[0] - p[0], q[1] - p[1], q[2] - p[2]), GOTO_MPS, 0.0) for p, q in itertools.pairwise(points)]
+    return _Path(tuple(p for leg in legs for p in leg.pieces), sum(leg.duration_s for leg in legs), ahead_s, False)
 
 
 def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other], now: float) -> str | None:
@@ -327,9 +381,9 @@ def on_trajectory(
     )
 
 
-def of_track(track: Track, destination: Place | None, frame: EnuFrame, now: float) -> Course:
-    """The course of a vehicle that is watched: it stands, flies to where skygcs has sent it and stays, or flies
-    straight on for the horizon. ``frame``: the common one."""
+def of_track(track: Track, frame: EnuFrame, now: float) -> Course:
+    """The course of a vehicle that is watched: it stands, or flies straight on for the horizon. ``frame``: the common
+    one."""
     reported = frame.from_ecef(track.ecef_m)
     if track.parked:
         return Course(track.key, track.name, track.footprint, lambda _: reported, 0.0, doing="parked")
@@ -342,16 +396,6 @@ def of_track(track: Track, destination: Place | None, frame: EnuFrame, now: floa
     if track.lost:
         doing = "lost in the air" + FORGET.format(name=track.name)
         return Course(track.key, track.name, track.footprint, lambda _: here, 0.0, ball_m=ball_m, doing=doing)
-    if destination is not None:
-        end = frame.from_geodetic(*destination)
-        away_m, flown_mps = math.dist(here, end), max(speed_mps, GOTO_MPS)
-        along = _divided((end[0] - here[0], end[1] - here[1], end[2] - here[2]), max(away_m, NEARER_M) / flown_mps)
-
-        def at(after_s: float) -> Vector:
-            return end if flown_mps * after_s >= away_m else _moved(here, along, after_s)
-
-        return Course(track.key, track.name, track.footprint, at, flown_mps, ball_m=ball_m, doing="sent there")
-    # no destination: it hovers, or flies straight on
     if speed_mps <= 2 * NOISE_MPS:
         return Course(track.key, track.name, track.footprint, lambda _: here, 0.0, ball_m=ball_m)
     return Course(
@@ -369,15 +413,12 @@ def _moved(place: Vector, velocity: Vector, for_s: float) -> Vector:
     return place[0] + velocity[0] * for_s, place[1] + velocity[1] * for_s, place[2] + velocity[2] * for_s
 
 
-def _divided(vector: Vector, by: float) -> Vector:
-    return vector[0] / by, vector[1] / by, vector[2] / by
-
-
 def find_conflicts(
-    movers: Sequence[Course], others: Sequence[Course], end_s: float, found: dict[int, str]
+    movers: Sequence[Course], others: Sequence[Course | Way], end_s: float, found: dict[int, str]
 ) -> Iterator[None]:
     """Put into ``found``, by key of the mover, with which vehicle and when its course conflicts until ``end_s``, after
-    which all stand still. Yields where other tasks of the loop may get their turn."""
+    which all stand still; one with a way may be anywhere on it all the time. Yields where other tasks of the loop may
+    get their turn."""
     looks = itertools.count(1)
     for i, mover in enumerate(movers):
         worst_m = math.inf
@@ -396,43 +437,78 @@ def find_conflicts(
 
 
 def _nearest(
-    a: Course, b: Course, end_s: float, count: Iterator[int]
+    a: Course, b: Course | Way, end_s: float, count: Iterator[int]
 ) -> Generator[None, None, tuple[float, float, float] | None]:
     """Returns (distance, when, what they need) where two come nearest, if that is too near; or None."""
-    # what they need, and how fast they can come nearer
-    margin = pair_margin(a.footprint, b.footprint)
-    need_m, ratio = margin.total_m + a.ball_m + b.ball_m, margin.downwash_ratio
-    bow = a.bow_m + b.bow_m
-    closing_mps = a.speed_mps + b.speed_mps
-    end_s = min(end_s, a.known_s, b.known_s)
-    here = _offset(a, b, 0.0, ratio)
-    begun_m = separation_m(*here, 1.0)
+    pair = _BesideWay(a, b) if isinstance(b, Way) else _TwoCourses(a, b)
+    need_m, bow, closing_mps, end_s = pair.need_m, pair.bow_m, pair.closing_mps, min(end_s, pair.known_s)
+    here = pair.place(0.0)
+    begun_m = pair.distance_m(here)
     least_m, least_s, t = begun_m, 0.0, 0.0
     # where they are far apart one stride, near each other closed steps of STEP_S
     while t < end_s:
         looks = next(count)
-        if looks % LOOKS_A_TURN == 0:
+        if looks % pair.looks_a_turn == 0:
             yield
         if looks > MAX_LOOKS:
             return None
-        spare_m = separation_m(*here, 1.0) - min(need_m, least_m) - bow
+        spare_m = pair.distance_m(here) - min(need_m, least_m) - bow
         if spare_m > closing_mps * STEP_S:
             t += spare_m / closing_mps if closing_mps > 0.0 else end_s
-            here = _offset(a, b, min(t, end_s), ratio)
+            here = pair.place(min(t, end_s))
             continue
         step_s = min(STEP_S, end_s - t)
-        there = _offset(a, b, t + step_s, ratio)
-        velocity = tuple((q - p) / step_s for p, q in zip(here, there, strict=True))
-        near = closest_approach(here, (velocity[0], velocity[1], velocity[2]), need_m, step_s)
-        if near.separation_m - bow < least_m:
-            least_m, least_s = max(0.0, near.separation_m - bow), t + near.at_s
+        there = pair.place(t + step_s)
+        near_m, at_s = pair.nearest(here, there, step_s)
+        if near_m - bow < least_m:
+            least_m, least_s = max(0.0, near_m - bow), t + at_s
         here, t = there, t + step_s
     if least_m >= need_m or (begun_m < need_m and least_m > begun_m - NEARER_M):
         return None
     return least_m, least_s, need_m
 
 
-def _offset(a: Course, b: Course, at_s: float, ratio: float) -> Vector:
-    """Offset of the second from the first, in the metric of the margin."""
-    p, q = a.at(at_s), b.at(at_s)
-    return q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio
+class _TwoCourses:
+    """How two courses come near each other; a place is the offset of the second, in the metric of the margin."""
+
+    looks_a_turn = LOOKS_A_TURN
+
+    def __init__(self, a: Course, b: Course) -> None:
+        margin = pair_margin(a.footprint, b.footprint)
+        self.need_m = margin.total_m + a.ball_m + b.ball_m
+        self.bow_m = a.bow_m + b.bow_m
+        self.closing_mps = a.speed_mps + b.speed_mps
+        self.known_s = min(a.known_s, b.known_s)
+        self._a, self._b, self._ratio = a.at, b.at, margin.downwash_ratio
+
+    def place(self, at_s: float) -> Vector:
+        p, q = self._a(at_s), self._b(at_s)
+        return q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / self._ratio
+
+    def distance_m(self, here: Vector) -> float:
+        return math.hypot(*here)
+
+    def nearest(self, here: Vector, there: Vector, step_s: float) -> tuple[float, float]:
+        """The least distance between two places of one chord, and when."""
+        u, v, w = ((q - p) / step_s for p, q in zip(here, there, strict=True))
+        near = closest_approach(here, (u, v, w), self.need_m, step_s)
+        return near.separation_m, near.at_s
+
+
+class _BesideWay:
+    """How a course comes near a way; a place is one on the course."""
+
+    looks_a_turn = 1
+    """A way has many legs."""
+
+    def __init__(self, a: Course, b: Way) -> None:
+        self._mine, self._way = Way(a.key, a.name, a.footprint, (), a.ball_m), b
+        self.need_m, self.bow_m = needed_m(self._mine, b), a.bow_m
+        self.closing_mps, self.known_s, self.place = a.speed_mps, a.known_s, a.at
+
+    def distance_m(self, here: Vector) -> float:
+        return distance_m(replace(self._mine, legs=standing(here)), self._way)
+
+    def nearest(self, here: Vector, there: Vector, step_s: float) -> tuple[float, float]:
+        """The least distance on one chord, and when: the begin of the step."""
+        return distance_m(replace(self._mine, legs=along((here, there))), self._way), 0.0

@@ -58,6 +58,10 @@ OFF_PLAN_M = 2.0
 USUAL_BRAKE_MPS2 = 2.0
 """PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
 
+REACTS_S = 0.5
+"""A vehicle flies on for so long before it brakes as its `brake_mps2` is: the age of its position, the order's way to
+it, and PX4's jerk (MPC_JERK_AUTO, 4 m/s³, takes 0.5 s to 2 m/s²)."""
+
 ARC_S = 10.0
 """An arc is drawn as far as the monitor looks ahead."""
 
@@ -120,6 +124,11 @@ class Track:
     def brake_mps2(self) -> float:
         """Its deceleration when it is ordered to hold; of what is not counted on to stop the usual one."""
         return self.vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
+
+    @property
+    def turns_m(self) -> float:
+        """How far it may come off a new way before it turns to that; 0 for what cannot stop: its circle counts."""
+        return 0.0 if self.parked or self.circle_m else overshoot_m(self.reported_mps, self.brake_mps2)
 
     def turn_radps(self) -> float:
         """How fast it turns over the ground, positive to the left; 0 for what can stop, and goes where it is sent."""
@@ -245,17 +254,26 @@ def path_of(track: Track, velocity: Vector) -> tuple[tuple[Piece, ...], bool]:
 
 def way_to(track: Track, velocity: Vector, goal_m: Vector) -> Piece | None:
     """Its way to a goal with this velocity, both in the common frame; None: the velocity does not lead it there."""
-    speed_mps = math.hypot(*velocity)
-    if speed_mps < LEAST_SPEED_MPS:
-        return None
     here = track.place_m
     way = (goal_m[0] - here[0], goal_m[1] - here[1], goal_m[2] - here[2])
-    away_m = math.hypot(*way)
-    along = way[0] * velocity[0] + way[1] * velocity[1] + way[2] * velocity[2]
-    if along < TOWARDS * away_m * speed_mps or away_m == 0.0:
+    if not leads(velocity, way):
         return None
+    speed_mps, away_m = math.hypot(*velocity), math.hypot(*way)
     share = speed_mps / away_m
     return Piece(away_m / speed_mps, (way[0] * share, way[1] * share, way[2] * share))
+
+
+def leads(velocity: Vector, way: Vector) -> bool:
+    """True if a velocity is no drift and leads along a way."""
+    speed_mps, away_m = math.hypot(*velocity), math.hypot(*way)
+    along = way[0] * velocity[0] + way[1] * velocity[1] + way[2] * velocity[2]
+    return speed_mps >= LEAST_SPEED_MPS and away_m > 0.0 and along >= TOWARDS * away_m * speed_mps
+
+
+def overshoot_m(velocity_mps: Vector, brake_mps2: float) -> float:
+    """How far a vehicle flies on at most before it turns to another place; 0: it stands, or drifts."""
+    speed_mps = math.hypot(*velocity_mps)
+    return 0.0 if speed_mps < LEAST_SPEED_MPS else speed_mps * (REACTS_S + speed_mps / (2.0 * brake_mps2))
 
 
 def follows(track: Track, points: Sequence[Vector]) -> bool:

@@ -123,8 +123,12 @@ def distance_m(a: Way, b: Way) -> float:
     """The least distance of two ways in the metric of their margin; 0 if one of them is not known."""
     if not (a.is_known and b.is_known):
         return 0.0
-    ratio = pair_margin(a.footprint, b.footprint).downwash_ratio
-    return min((_legs_distance_m(p, q, ratio) for p in a.legs for q in b.legs), default=math.inf)
+    ratio, least_m = pair_margin(a.footprint, b.footprint).downwash_ratio, math.inf
+    for p in a.legs:
+        for q in b.legs:
+            if _apart_by_axis_m(p, q) < least_m:
+                least_m = min(least_m, _legs_distance_m(p, q, ratio))
+    return least_m
 
 
 def too_near(a: Way, b: Way) -> bool:
@@ -189,6 +193,14 @@ def conflict_text(way: Way, other: Way, near_m: float) -> str:
 def _legs_distance_m(p: Leg, q: Leg, ratio: float) -> float:
     gap_m = max(0.0, p.low_m - q.high_m, q.low_m - p.high_m)
     return math.hypot(_ground_distance_m(p, q), gap_m / ratio)
+
+
+def _apart_by_axis_m(p: Leg, q: Leg) -> float:
+    """How far apart two legs are at least, over the ground: a third of what their distance costs."""
+    (a, b), (c, d), (e, f), (g, h) = p.begin, p.end, q.begin, q.end
+    east_m = max((a if a < c else c) - (e if e > g else g), (e if e < g else g) - (a if a > c else c))
+    north_m = max((b if b < d else d) - (f if f > h else h), (f if f < h else h) - (b if b > d else d))
+    return east_m if east_m > north_m else north_m
 
 
 def _ground_distance_m(p: Leg, q: Leg) -> float:

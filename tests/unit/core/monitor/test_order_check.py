@@ -4,16 +4,36 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from skygcs.core.geo import ecef
 from skygcs.core.monitor import order_check
-from skygcs.core.monitor.order_check import Course, bow_m, find_conflicts
+from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.order_check import (
+    Course,
+    Mover,
+    Other,
+    bow_m,
+    find_conflicts,
+    goto_conflict,
+    mover_frame,
+    of_track,
+    setpoint_conflict,
+    space_conflict,
+    takeoff_conflict,
+    turning_points,
+)
+from skygcs.core.monitor.tracks import Place, Track
+from skygcs.core.monitor.ways import Way, sloped, standing
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
 from support.examples import seeds
 from support.table import each
+from support.watched_fleet import WatchedVehicle
 
 MARGIN = pair_margin(Footprint(), Footprint())
 NEED_M = MARGIN.total_m
@@ -34,7 +54,7 @@ def curve(rng: random.Random, duration_s: float) -> Trajectory:
     return Trajectory([Piece(duration_s, *axis)])
 
 
-def conflicts(*courses: Course, end_s: float) -> dict[int, str]:
+def conflicts(*courses: Course | Way, end_s: float) -> dict[int, str]:
     found: dict[int, str] = {}
     for _ in find_conflicts(courses[:1], courses[1:], end_s, found):
         pass
@@ -102,3 +122,279 @@ def test_what_is_too_much_is_refused_and_not_passed(monkeypatch: pytest.MonkeyPa
 def test_it_gives_others_their_turn() -> None:
     a, b = straight(1, (0.0, 0.0, 20.0), (1.0, 0.0, 0.0)), straight(2, (0.0, 2.6, 20.0), (1.0, 0.0, 0.0))
     assert sum(1 for _ in find_conflicts([a], [b], 600.0, {})) > 100
+
+
+@each(
+    ("aside_m", "ball_m", "found"), [(NEED_M - 0.01, 0.0, True), (NEED_M + 0.01, 0.0, False), (NEED_M + 0.9, 1.0, True)]
+)
+def test_a_way_counts_all_the_time(aside_m: float, ball_m: float, found: bool) -> None:
+    """Across the course, 380 m ahead of it; its own end is so far beside it."""
+    across = Way(2, "v2", Footprint(), sloped([(400.0, 60.0, 20.0), (400.0, aside_m, 20.0)]), ball_m, "returns")
+    text = conflicts(straight(1, (0.0, 0.0, 20.0), (2.0, 0.0, 0.0)), across, end_s=300.0).get(1, "")
+    assert ("near v2 (returns) in 19" in text or "near v2 (returns) in 200" in text) is found, text
+    assert not conflicts(straight(1, (0.0, 0.0, 20.0), (2.0, 0.0, 0.0)), across, end_s=190.0), "it stops before"
+    curved = Course(1, "v1", Footprint(), lambda at_s: (2.0 * at_s, 0.0, 20.0), 2.0, bow_m=0.1)
+    assert bool(conflicts(curved, across, end_s=300.0)) is (found or aside_m < NEED_M + 0.1)
+
+
+@each(("bows_m", "found"), [((0.2, 0.1), True), ((0.1, 0.1), False)])
+def test_what_both_bow_out_counts_also_of_slow_ones(bows_m: tuple[float, float], found: bool) -> None:
+    a = replace(straight(1, (0.0, 0.0, 20.0), (0.4, 0.0, 0.0)), bow_m=bows_m[0])
+    b = replace(straight(2, (40.0, NEED_M + 0.25, 20.0), (-0.4, 0.0, 0.0)), bow_m=bows_m[1])
+    assert bool(conflicts(a, b, end_s=300.0)) is found
+
+
+def test_three_jumps_of_the_velocity_may_bow_one_chord() -> None:
+    """To 3 m/s in a second, there from 3 to 2 m/s at once, and to rest in another one."""
+    pieces = [Piece(1.0, (0.0, 0.0, 1.5), (0.0,), (20.0,)), Piece(1.0, (1.5, 2.0, -1.0), (0.0,), (20.0,))]
+    jumps_m = 0.25 * 1.0 / 4.0 * (2.0 + 0.25 / 1.0)
+    assert bow_m(LoadedTrajectory(Trajectory(pieces)), 1.0, 0.0) == pytest.approx(
+        0.25**2 * 3.0 / 8.0 + jumps_m, rel=0.01
+    )
+
+
+@each(("velocity", "found"), [((0.0, -1.0, 0.0), False), ((0.0, 1.0, 0.0), True)])
+def test_one_too_near_a_way_may_leave_it(velocity: tuple[float, float, float], found: bool) -> None:
+    beside = Way(2, "v2", Footprint(), sloped([(-50.0, 2.0, 20.0), (50.0, 2.0, 20.0)]))
+    assert bool(conflicts(straight(1, (0.0, 0.0, 20.0), velocity), beside, end_s=60.0)) is found
+
+
+# --- orders: v1 hovers or flies at the origin of the frame, v2 is the other one --------------------------------------
+
+NOW = 1000.0
+
+FAST = (0.0, 5.0, 0.0)
+"""North: it flies on by 5 x 0.5 m and 25 / (2 x 2) m."""
+
+ON_M = 8.75
+
+
+def mover(velocity: Vector = (0.0, 0.0, 0.0), circle_m: float = 0.0) -> Mover:
+    return Mover(257, "v1", Footprint(), WatchedVehicle(1).geodetic_of(0.0, 0.0, 20.0), circle_m, velocity)
+
+
+def at(*place_m: float) -> Place:
+    """Geodetic, of a place in the frame of the mover."""
+    return WatchedVehicle(1).geodetic_of(place_m[0], place_m[1], 20.0 + place_m[2])
+
+
+def other(
+    *place_m: float,
+    vel: Vector = (0.0, 0.0, 0.0),
+    age_s: float = 0.0,
+    key: int = 2,
+    sent: Place | None = None,
+    **also: Any,
+) -> Other:
+    vehicle = WatchedVehicle(key).vehicle
+    track = Track(vehicle, Footprint(), 0, ecef_m=ecef(*at(*place_m)), at=NOW - age_s, reported_mps=vel, parked=False)
+    stays_yet = also.pop("stays_yet", False)
+    for name, value in also.items():
+        setattr(track, name, value)
+    return Other(track, sent, stays_yet)
+
+
+FORGET = "; once you know that it is not there: skygcs-cli forget v2 --force"
+
+NEED = "; they need 2.5 m, heights divided by 2"
+
+
+@each(
+    ("to", "there", "text"),
+    [
+        # beside the way, beyond its end, above it
+        ((40.0, 0.0, 0.0), other(20.0, 2.48, 0.0), "v1 would come 2.5 m near v2 (in the air)" + NEED),
+        ((40.0, 0.0, 0.0), other(20.0, 2.55, 0.0), None),
+        ((40.0, 0.0, 0.0), other(42.4, 0.0, 0.0), "v1 would come 2.4 m near v2 (in the air)" + NEED),
+        ((40.0, 0.0, 0.0), other(42.6, 0.0, 0.0), None),
+        ((40.0, 0.0, 0.0), other(-2.6, 0.0, 0.0), None),
+        ((40.0, 0.0, 0.0), other(20.0, 0.0, 4.9), "v1 would come 2.5 m near v2 (in the air)" + NEED),
+        ((40.0, 0.0, 0.0), other(20.0, 0.0, -5.1), None),
+        ((0.0, 0.0, 0.0), other(2.6, 0.0, 0.0), None),
+        # what it is
+        ((9.0, 0.0, 0.0), other(9.0, 0.0, 0.0, parked=True, age_s=90.0), "v1 would come 0.0 m near v2 (parked)" + NEED),
+        ((9.0, 0.0, 0.0), other(9.0, 2.6, 0.0, parked=True, age_s=90.0, vel=(0.0, -1.0, 0.0)), None),
+        (
+            (9.0, 0.0, 0.0),
+            other(9.0, 0.0, 0.0, stays_yet=True),
+            "v1 would come 0.0 m near v2 (in the air, and not seen yet to fly where it was sent)" + NEED,
+        ),
+        ((9.0, 0.0, 0.0), other(9.0, 0.0, 0.0, key=1), None),
+        ((9.0, 0.0, 0.0), other(9.0, 0.0, 0.0, sent=at(0.0, 90.0, 0.0)), None),
+        # its position is old: 0.5 x 3 m/s² x (3 s - 1 s)²
+        (
+            (40.0, 0.0, 0.0),
+            other(20.0, 8.4, 0.0, age_s=3.0),
+            "v1 would come 8.4 m near v2 (in the air), whose position is 3.0 s old; they need 8.5 m, heights divided "
+            "by 2",
+        ),
+        ((40.0, 0.0, 0.0), other(20.0, 8.6, 0.0, age_s=3.0), None),
+        ((40.0, 0.0, 0.0), other(20.0, 2.4, 0.0, age_s=1.0), "v1 would come 2.4 m near v2 (in the air)" + NEED),
+        # lost: it grows for 10 s
+        (
+            (40.0, 0.0, 0.0),
+            other(20.0, 120.0, 0.0, age_s=99.0, lost=True),
+            "v1 would come 120.0 m near v2 (lost in the air), whose position is 99.0 s old; they need 124.0 m, "
+            "heights divided by 2" + FORGET,
+        ),
+        ((40.0, 0.0, 0.0), other(20.0, 125.0, 0.0, age_s=99.0, lost=True), None),
+        ((40.0, 0.0, 0.0), other(20.0, 140.0, 0.0, age_s=99.0, lost=True, vel=(0.0, -2.0, 0.0)), "near v2"),
+        ((40.0, 0.0, 0.0), other(20.0, 146.0, 0.0, age_s=99.0, lost=True, vel=(0.0, -2.0, 0.0)), None),
+        # it flies straight on, for 10 s after this one is there and no longer than that
+        ((10.0, 0.0, 0.0), other(10.0, -10.0, 0.0, vel=(0.0, 2.0, 0.0)), "v1 would come 0.0 m near v2 (in the air)"),
+        ((10.0, 0.0, 0.0), other(10.0, -30.0, 0.0, vel=(0.0, 2.0, 0.0)), None),
+        ((10.0, 0.0, 0.0), other(10.0, -22.0, 0.0, vel=(0.0, 2.0, 0.0)), "near v2"),
+        ((10.0, 0.0, 0.0), other(10.0, -4.0, 0.0, vel=(0.0, 0.3, 0.0)), None),  # it hovers
+        ((10.0, 0.0, 0.0), other(10.0, -4.0, 0.0, vel=(0.0, 0.5, 0.0)), "near v2"),
+        ((10.0, 0.0, 0.0), other(10.0, -4.0, 0.0, vel=(0.0, -0.5, 0.0)), None),
+        # too near already: not nearer by more than 0.2 m
+        ((-9.0, 0.0, 0.0), other(2.0, 0.0, 0.0), None),
+        ((0.15, 0.0, 0.0), other(2.0, 0.0, 0.0), None),
+        ((0.25, 0.0, 0.0), other(2.0, 0.0, 0.0), "v1 would come 1.8 m near v2"),
+    ],
+)
+def test_a_goto_is_compared_with_each_other(to: Vector, there: Other, text: str | None) -> None:
+    found = goto_conflict(mover(), at(*to), [other(0.0, -90.0, 0.0, key=3), there], NOW)
+    assert (found is None) if text is None else (found is not None and text in found), found
+    if found is not None and to[0] == 40.0:
+        both = goto_conflict(mover(), at(*to), [there, other(10.0, 0.0, 0.0, key=4), there], NOW)
+        assert both is not None and "0.0 m near v4" in both, "the nearest one is named"
+
+
+@each(
+    ("height_m", "there", "found"),
+    [
+        (10.0, other(0.0, 2.4, 5.0), True),
+        (10.0, other(0.0, 2.6, 5.0), False),
+        (10.0, other(0.0, 0.0, 14.9), True),
+        (10.0, other(0.0, 0.0, 15.1), False),
+        (10.0, other(0.0, 2.0, 0.0, parked=True), True),  # beside it already: it may be carried sideways
+        (10.0, other(0.0, -21.0, 9.0, vel=(0.0, 2.0, 0.0)), True),
+        (10.0, other(0.0, -21.0, 9.0, vel=(0.0, 1.0, 0.0)), False),
+        (2.0, other(8.0, 0.0, 2.0, vel=(-0.5, 0.0, 0.0)), False),
+        (20.0, other(7.0, 0.0, 18.0, vel=(-0.5, 0.0, 0.0)), True),  # it climbs with 2 m/s
+    ],
+)
+def test_a_take_off_is_compared_with_each_other(height_m: float, there: Other, found: bool) -> None:
+    assert (takeoff_conflict(mover(), height_m, [there], NOW) is not None) is found
+
+
+@each(
+    ("to", "velocity", "there", "found"),
+    [
+        ((20.0, 0.0, 0.0), (0.0, 0.0, 0.0), other(10.0, 2.4, 0.0), True),
+        ((20.0, 0.0, 0.0), (0.0, 0.0, 0.0), other(10.0, 2.6, 0.0), False),
+        ((20.0, 0.0, 0.0), (0.0, 0.0, 0.0), other(20.0, 9.0, 0.0, vel=(0.0, -1.0, 0.0)), False),  # it gets there in 4 s
+        (None, (2.0, 0.0, 0.0), other(8.4, 0.0, 0.0), True),  # 3 s of it
+        (None, (2.0, 0.0, 0.0), other(8.6, 0.0, 0.0), False),
+        (None, (-2.0, 0.0, 0.0), other(2.0, 0.0, 0.0), False),  # too near already, and away from it
+        (None, (0.0, 0.0, 0.0), other(5.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), True),
+        (None, (0.0, 0.0, 0.0), other(6.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), False),
+    ],
+)
+def test_a_setpoint_is_compared_with_each_other(to: Vector | None, velocity: Vector, there: Other, found: bool) -> None:
+    place = None if to is None else at(*to)
+    assert (setpoint_conflict(mover(), place, velocity, [there], NOW) is not None) is found
+
+
+@each(
+    ("moves", "to", "place", "found"),
+    [
+        # to the east, out of a flight to the north: on by 8.75 m, as far to the east meanwhile, and back to the way
+        (mover(FAST), (40.0, 0.0, 0.0), (4.0, ON_M + 2.4, 0.0), True),
+        (mover(FAST), (40.0, 0.0, 0.0), (4.0, ON_M + 2.6, 0.0), False),
+        (mover(FAST), (40.0, 0.0, 0.0), (-2.4, 6.0, 0.0), True),
+        (mover(FAST), (40.0, 0.0, 0.0), (ON_M + 2.3, ON_M, 0.0), True),
+        (mover(FAST), (40.0, 0.0, 0.0), (24.4, 4.4, 0.0), True),  # between the corner and the place
+        (mover(FAST), (4.0, 0.0, 0.0), (ON_M, ON_M, 0.0), False),  # never beyond the place
+        (mover(FAST), (0.0, 0.0, 0.0), (0.0, ON_M + 2.4, 0.0), True),
+        (mover((0.0, 0.0, -5.0)), (40.0, 0.0, 0.0), (4.0, 0.0, -ON_M - 4.0), True),
+        (mover((0.0, 0.45, 0.0)), (40.0, 0.0, 0.0), (4.0, 2.6, 0.0), False),  # it drifts
+        (mover((0.0, 0.55, 0.0)), (40.0, 0.0, 0.0), (0.0, 2.6, 0.0), True),
+        (mover(FAST, 50.0), (200.0, 0.0, 0.0), (4.0, ON_M, 0.0), False),  # it cannot stop: its circle counts
+        (replace(mover(FAST), brake_mps2=1.0), (40.0, 0.0, 0.0), (4.0, 17.3, 0.0), True),
+        (mover(), (40.0, 0.0, 0.0), (4.0, 2.6, 0.0), False),
+    ],
+)
+def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector, found: bool) -> None:
+    """As what stands there, and as a way that ends there."""
+    way = Way(2, "v2", Footprint(), standing(place))
+    for text in (goto_conflict(moves, at(*to), [other(*place)], NOW), space_conflict(moves, at(*to), [way])):
+        assert (text is not None) is found, text
+        assert text is None or text.endswith(", before it has turned there"), text
+
+
+def test_it_turns_alike_wherever_it_is() -> None:
+    here, to = (5.0, -7.0, 3.0), (45.0, 4.0, -6.0)
+    moved = turning_points((0.0, 0.0, 0.0), FAST, 2.0, (40.0, 11.0, -9.0))
+    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 2.0, to) == (here,)
+    for point, other_point in zip(turning_points(here, FAST, 2.0, to), moved, strict=True):
+        assert point == pytest.approx([p + q for p, q in zip(other_point, here, strict=True)])
+
+
+@each(
+    ("to", "ends", "strict", "text"),
+    [
+        (
+            (40.0, 0.0, 0.0),
+            [(20.0, 2.4, 0.0), (20.0, 50.0, 0.0)],
+            False,
+            "v1 would come 2.4 m near v2 (returns)" + NEED,
+        ),
+        ((40.0, 0.0, 0.0), [(20.0, 2.6, 0.0), (20.0, 50.0, 0.0)], False, None),
+        ((-40.0, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, None),  # away from it
+        ((-40.0, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], True, "v1 would come 2.0 m near v2"),
+        ((0.25, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, "v1 would come 1.8 m near v2"),
+        ((0.15, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, None),
+        ((40.0, 0.0, 40.0), [(20.0, 0.0, 16.0), (20.0, 50.0, 16.0)], False, "near v2"),  # it climbs with its way
+        ((40.0, 0.0, 40.0), [(20.0, 0.0, 10.0), (20.0, 50.0, 10.0)], False, None),
+    ],
+)
+def test_the_ways_of_others_count_as_space(to: Vector, ends: list[Vector], strict: bool, text: str | None) -> None:
+    near = Way(2, "v2", Footprint(), sloped(ends), 0.0, "returns")
+    far = replace(near, name="v3", legs=sloped([(x, y + 0.05, z) for x, y, z in ends]))
+    found = space_conflict(mover(), at(*to), [far, near, far] if to[0] == 40.0 else [near], strict=strict)
+    assert (found is None) if text is None else (found is not None and text in found), found
+
+
+@each(
+    ("there", "after_s", "place", "known_s", "doing"),
+    [
+        (other(9.0, 0.0, 0.0, vel=(1.0, 0.0, 0.0), parked=True, age_s=50.0), 9.0, (9.0, 0.0, 0.0), math.inf, "parked"),
+        (other(9.0, 0.0, 0.0, vel=(0.3, 0.0, 0.0)), 9.0, (9.0, 0.0, 0.0), math.inf, "in the air"),
+        (other(9.0, 0.0, 0.0, vel=(1.0, 2.0, 0.0), age_s=2.0), 3.0, (14.0, 10.0, 0.0), 10.0, "in the air"),
+        (other(9.0, 0.0, 0.0, vel=(1.0, 0.0, 0.0), age_s=50.0, lost=True), 9.0, (19.0, 0.0, 0.0), math.inf, "lost in"),
+    ],
+)
+def test_the_course_of_what_is_watched(there: Other, after_s: float, place: Vector, known_s: float, doing: str) -> None:
+    found = of_track(there.track, mover_frame(mover()), NOW)
+    assert found.at(after_s) == pytest.approx(place, abs=0.01) and found.known_s == known_s
+    assert found.doing.startswith(doing) and ("forget v2" in found.doing) is there.track.lost
+    assert found.speed_mps == (pytest.approx(math.hypot(*there.track.reported_mps)) if known_s < 99.0 else 0.0)
+    age_s = 0.0 if there.track.parked else min(NOW - there.track.at, 10.0)
+    assert found.ball_m == pytest.approx(1.5 * max(0.0, age_s - 1.0) ** 2)
+
+
+@each("seed", range(12))
+def test_a_curve_stays_within_its_bow_of_each_chord(seed: int) -> None:
+    """Also where its velocity jumps between two pieces, and at its begin and end."""
+    rng = random.Random(seed)
+    pieces, here = list[Piece](), (0.0, 0.0, 0.0)
+    for _ in range(4):
+        axes = [(p, rng.uniform(-3, 3), rng.uniform(-2, 2)) for p in here]
+        pieces.append(Piece(rng.uniform(0.1, 2.0), *axes))
+        here = Trajectory(pieces[-1:]).at(pieces[-1].duration_s).pos_enu_m
+    loaded, factor = LoadedTrajectory(Trajectory(pieces)), rng.choice((0.5, 1.0, 2.0))
+    bow, lasts_s = bow_m(loaded, factor, 0.0), loaded.trajectory.duration_s / factor
+
+    def place(at_s: float) -> Vector:
+        return loaded.trajectory.at(min(max(at_s * factor, 0.0), loaded.trajectory.duration_s)).pos_enu_m
+
+    worst = 0.0
+    for n in range(200):
+        begin = -0.25 + (lasts_s + 0.25) * n / 200
+        a, b = place(begin), place(begin + 0.25)
+        for share in (0.25, 0.5, 0.75):
+            chord = [p + share * (q - p) for p, q in zip(a, b, strict=True)]
+            worst = max(worst, math.dist(place(begin + 0.25 * share), chord))
+    assert 0.02 * bow < worst <= bow

@@ -49,6 +49,9 @@ def test_what_is_found_is_what_a_comparison_of_all_legs_finds() -> None:
         for one in starting:
             near = [o for o in (*starting, *others) if o is not one and distance_m(one, o) < needed_m(one, o)]
             assert all(too_near(one, other) for other in near)
+            for other in others:
+                legs = [ways._legs_distance_m(p, q, 2.0) for p in one.legs for q in other.legs]
+                assert distance_m(one, other) == min(legs)
             assert (one.key in found) is bool(near)
             met, clear = met + bool(near), clear + (not near)
             if near:
