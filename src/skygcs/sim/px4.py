@@ -73,7 +73,7 @@ def wanted_mode(base_mode: int, main: int, sub: int) -> int | None:
 
 
 def kind_of(setpoint: PositionTarget | AttitudeSetpoint) -> str:
-    """Which controllers fly it, as OFFBOARD_CONTROL_MODE names them."""
+    """Return which controllers fly it, as OFFBOARD_CONTROL_MODE names them."""
     if isinstance(setpoint, PositionTarget):
         return "position"
     rates_alone = setpoint.attitude_ned_frd is None and setpoint.rates_frd_radps is not UNCONTROLLED
@@ -451,7 +451,7 @@ class Px4Vehicle(SimVehicle):
             self.plan.fly(Follow(setpoint))
 
     def _controlled(self, kind: str, now: float) -> bool:
-        """Whether the controllers for this kind of target run: they change with the status alone."""
+        """True if the controllers for this kind of target run: they change with the status alone."""
         if kind != self._kind:
             self._kind, self._kind_since = kind, now
         published = now - (now - self._status_at) % self.firmware.controllers_s.simulated
