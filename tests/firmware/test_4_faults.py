@@ -96,6 +96,11 @@ def test_a_delay_brings_attitude_down_to_velocity_and_position(air: Field, figur
         assert figures["farthest m"] < SAFE_M
 
 
+HOLD_LAG_S = 0.25
+"""By which a braking of 2.5 m/s² is late whose jerk is 5 m/s³ (ArduCopter's PSC_JERK_XY): BRAKE took 2.43 m from 1.85
+m/s, by the simulator's own log."""
+
+
 def allowed_m(speed_mps: float) -> float:
     """How far beyond its reference a vehicle may travel after a fault at this speed: 0.7 s until it is noticed, braking
     with 2.5 m/s², and half a metre."""
@@ -135,8 +140,9 @@ def test_the_uplink_gets_slow_in_a_step(air: Field, figures: dict[str, Any]) -> 
 
 @pytest.mark.parametrize("mode", ["velocity", IN_FULL("attitude"), IN_FULL("position")])
 def test_telemetry_is_cut_for_two_seconds_on_the_way(air: Field, figures: dict[str, Any], mode: str) -> None:
-    """At 2 m/s along a line, whose end comes while nothing is seen."""
+    """At 2 m/s along a line, whose end comes while nothing is seen. A state of 2 s is held for, so it brakes there."""
     speed, length_m = 2.0, 14.0
+    allowed = allowed_m(speed) + speed * HOLD_LAG_S
     starts_at = [math.inf]
 
     def reference(t: float) -> dict[str, Any]:
@@ -155,10 +161,10 @@ def test_telemetry_is_cut_for_two_seconds_on_the_way(air: Field, figures: dict[s
         most = farthest_north(air, 2)
         air.relay.clear()
         most = max(most, farthest_north(air, 8))
-        figures["beyond m"], figures["allowed m"] = most - length_m, allowed_m(speed)
+        figures["beyond m"], figures["allowed m"] = most - length_m, allowed
         figures["report"] = first_report(air, began, "control")
         assert figures["report"] or mode == "position"  # which bears 2 s
-        assert most - length_m < allowed_m(speed)
+        assert most - length_m < allowed
 
 
 @pytest.mark.only("ardupilot")

@@ -22,6 +22,11 @@ RATES_IGNORED, THRUST_IGNORED, ATTITUDE_IGNORED = 0b111, 64, 128
 LEAN_RAD = -0.1
 """Nose down, slowly forward."""
 
+KIND_S = 0.7
+"""From one kind of setpoint to another within OFFBOARD: PX4 publishes which controllers run with its status, twice a
+second unless that changes (Commander.cpp: run, updateControlMode). Until then the attitude before is flown on, level:
+rates of half a second rolled 0, 0.04 or 0.12 by chance."""
+
 
 def quaternion(pitch_rad: float, size: float = 1.0) -> list[float]:
     return [size * cos(pitch_rad / 2), 0.0, size * sin(pitch_rad / 2), 0.0]
@@ -66,7 +71,7 @@ def begin(rig: Rig) -> None:
 
 def word(rig: Rig, seconds: float, mask: int, **fields: Any) -> str:
     """What it does with an attitude that leans: flies it, passes it over, or falls without thrust."""
-    send(rig, 0.6, RATES_IGNORED)
+    send(rig, KIND_S, RATES_IGNORED)
     up = rig.here.up_m
     pitch = send(rig, seconds, mask, pitch=LEAN_RAD, **fields).pitch
     sank = up - rig.here.up_m
@@ -81,6 +86,7 @@ def word(rig: Rig, seconds: float, mask: int, **fields: Any) -> str:
 def attitude_targets(rig: Rig) -> Figures:
     begin(rig)
     figures: Figures = {}
+    send(rig, KIND_S, ATTITUDE_IGNORED)
     send(rig, 0.5, ATTITUDE_IGNORED, rates=(0.3, 0.0, 0.0))
     figures["rates alone, roll of .15"] = round(send(rig, 0.5, ATTITUDE_IGNORED).roll, 2)
     figures["attitude and rates"] = word(rig, 0.8, 0)

@@ -232,6 +232,9 @@ class Firmware:
     """RMS of the distance from a circle of 5 m at 2 m/s that is sent five times a second, by what is sent of it."""
     attitude_targets: Fact[dict[str, str]]
     """Effect of a SET_ATTITUDE_TARGET."""
+    controllers_s: Fact[float]
+    """The other kind of target (position, attitude or rates) is flown from the next multiple of this (s) since the last
+    command or change of mode; until then the target before is."""
 
     # failsafes
     failsafe_hold: Fact[str]
@@ -381,6 +384,7 @@ COPTER: Final = Firmware(
         },
         "ArduCopter/GCS_Mavlink.cpp: handle_message_set_attitude_target (measured)",
     ),
+    controllers_s=Fact(0.0, "ArduCopter/mode_guided.cpp: angle_control_start, pva_control_start (at once)"),
     failsafe_hold=Fact("", "ArduCopter/events.cpp: Copter::do_failsafe_action"),
     failsafe_land_pause_s=Fact(4.0, "ArduCopter/config.h: LAND_WITH_DELAY_MS; mode_land.cpp: set_mode_land_with_pause"),
     gcs_timeout=Fact("FS_GCS_TIMEOUT", "ArduCopter/events.cpp: Copter::failsafe_gcs_check (only SYSID_MYGCS counts)"),
@@ -588,6 +592,7 @@ PX4: Final = Firmware(
         },
         "mavlink/mavlink_receiver.cpp: handle_message_set_attitude_target (measured)",
     ),
+    controllers_s=Fact(0.5, "commander/Commander.cpp: run (updateControlMode, with the status)"),
     failsafe_hold=Fact("COM_FAIL_ACT_T", "commander/failsafe/framework.cpp: FailsafeBase::getSelectedAction"),
     failsafe_land_pause_s=Fact(0.0, "navigator/land.cpp"),
     gcs_timeout=Fact("COM_DL_LOSS_T", "commander/Commander.cpp: dataLinkCheck (any ground station counts)"),

@@ -14,7 +14,7 @@ from typing import Any
 
 from skygcs.sim import failsafe, px4_mission
 from skygcs.sim import protocol as m
-from skygcs.sim.attitude_targets import Refusal, px4_attitude
+from skygcs.sim.attitude_targets import UNCONTROLLED, Refusal, px4_attitude
 from skygcs.sim.behaviours import PX4, Reaction
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
@@ -70,6 +70,14 @@ def wanted_mode(base_mode: int, main: int, sub: int) -> int | None:
     if base_mode & m.MAV_MODE_FLAG_GUIDED_ENABLED:
         return Px4Mode.POSCTL
     return Px4Mode.STABILIZED if base_mode & m.MAV_MODE_FLAG_STABILIZE_ENABLED else Px4Mode.MANUAL
+
+
+def kind_of(setpoint: PositionTarget | AttitudeSetpoint) -> str:
+    """Return which controllers fly it, as OFFBOARD_CONTROL_MODE names them."""
+    if isinstance(setpoint, PositionTarget):
+        return "position"
+    rates_alone = setpoint.attitude_ned_frd is None and setpoint.rates_frd_radps is not UNCONTROLLED
+    return "body_rate" if rates_alone else "attitude"
 
 
 class Px4Vehicle(SimVehicle):
@@ -228,6 +236,8 @@ class Px4Vehicle(SimVehicle):
         self.failsafe = False
         self.cruise_mps = 0.0
         self.setpoint_at = -1e9
+        self._controllers: str | None = None
+        self._kind, self._kind_since, self._status_at = "", now, now
         self.shell = Px4Shell(self.tx, self.dialect, lambda: self.armed)
 
     def on_ready(self, now: float) -> None:
@@ -338,6 +348,7 @@ class Px4Vehicle(SimVehicle):
         if self.mode == Px4Mode.MISSION:
             self.run.leave()
         self._set_mode(mode)
+        self._controllers, self._status_at = None, now
         motion = self.estimated
         if mode == Px4Mode.TAKEOFF:
             home_up = self.home.up_m if self.home else motion.up_m
@@ -410,6 +421,7 @@ class Px4Vehicle(SimVehicle):
         self.plan.fly(*legs)
 
     def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        self._status_at = now
         ok = self.try_mode(custom_mode, now)
         result = m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
         self.tx.acknowledge(m.MAV_CMD_DO_SET_MODE, result, sender)
@@ -435,12 +447,22 @@ class Px4Vehicle(SimVehicle):
                 return
             setpoint = position
         self.setpoint_at = now
-        if self.mode == Px4Mode.OFFBOARD:
+        if self._controlled(kind_of(setpoint), now) and self.mode == Px4Mode.OFFBOARD:
             self.plan.fly(Follow(setpoint))
+
+    def _controlled(self, kind: str, now: float) -> bool:
+        """True if the controllers for this kind of target run: they change with the status alone."""
+        if kind != self._kind:
+            self._kind, self._kind_since = kind, now
+        published = now - (now - self._status_at) % self.firmware.controllers_s.simulated
+        if self._controllers is None or published >= self._kind_since:
+            self._controllers = kind
+        return self._controllers == kind
 
     # -- commands
 
     def command(self, c: Command, now: float) -> int | None:
+        self._status_at = now  # handle_command: whatever was ordered
         match c.id:
             case m.MAV_CMD_COMPONENT_ARM_DISARM:
                 return self._command_arm(c, now)

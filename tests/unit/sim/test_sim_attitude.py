@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.geo import quaternion_from_euler
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.attitude_targets import copter_attitude, px4_attitude
+from skygcs.sim.behaviours import PX4
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter, int_param, px4, px4_mode
@@ -20,6 +21,7 @@ from support.table import each
 
 ATTITUDE_AND_THRUST = 0b111
 LEVEL = [1.0, 0.0, 0.0, 0.0]
+CONTROLLERS_S = PX4.controllers_s.simulated
 Message = mav.MAVLink_set_attitude_target_message
 
 
@@ -147,6 +149,7 @@ def test_rates_without_an_attitude_turn_it_and_what_they_have_turned_stays(start
     pilot = start()
     motion = pilot.vehicles[0].motion
     thrust = 0.5 if start is guided else hover_thrust(pilot)
+    stream(pilot, CONTROLLERS_S, rates(0.0, 0.0, 0.0, thrust))
     stream(pilot, 0.5, rates(0.4, -0.2, 0.0, thrust))
     stream(pilot, 0.5, rates(0.0, 0.0, 0.0, thrust))
     assert (motion.roll_rad, motion.pitch_rad) == pytest.approx((0.2, -0.1), abs=0.02)
@@ -229,6 +232,22 @@ def test_px4_enters_offboard_only_with_a_fresh_attitude_whatever_it_is() -> None
     )
     stream(pilot, 0.1, target(0.42))
     assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_ACCEPTED
+
+
+@each("ordered", [False, True])
+def test_a_px4_flies_another_kind_of_target_from_its_next_status_on(ordered: bool) -> None:
+    """Twice a second, or with whatever is ordered. Until then it leans on, and nobody controls the position."""
+    pilot = offboard()
+    thrust = hover_thrust(pilot)
+    stream(pilot, 0.55 + CONTROLLERS_S, target(thrust, roll=0.2))
+    place = mav.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0xDF8, 0, 0, -10, *[0] * 8)
+    if ordered:
+        pilot.send(place)
+        pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0)
+    stream(pilot, 0.3, place)
+    assert (pilot.vehicles[0].motion.roll_rad > 0.15) != ordered
+    stream(pilot, 0.5, place)
+    assert pilot.vehicles[0].motion.roll_rad < 0.1
 
 
 def test_px4_holds_when_the_stream_ends() -> None:

@@ -18,6 +18,10 @@ m/s² gets 0.7 m/s faster and 2 m farther before it begins to stop, one at 35 de
 it is given the lean that its law had found against the wind, and against its motion what brakes it: the integral then
 begins with braking.
 
+A PX4 begins with no integral (1.16: resetIntegral while it flies an attitude), but changes its controllers with its
+status alone, twice a second (Commander.cpp: run, updateControlMode): for up to 0.5 s it flies the last attitude on. So
+that is the same lean, sent for LAST_ATTITUDE_S.
+
 Nothing is closed over the link meanwhile: the attitude is worked out once. If nothing reaches the vehicle after it, it
 keeps that lean for GUID_TIMEOUT and levels; the lean brakes to a standstill in that time at most.
 """
@@ -125,11 +129,19 @@ class SteadyThrust:
 HANDOVER_S = 0.3
 """The attitude follows with 0.15 s: 86 % of the way."""
 
+LAST_ATTITUDE_S = 0.05
+"""One message, or two."""
+
 BRAKING_MPS2 = 2.5
 """Deceleration, the same with which ArduCopter itself brakes (WPNAV_ACCEL): a lean of 14 degrees."""
 
 LEAST_TIME_S = 0.5
 """In which a lean may brake to a standstill, if GUID_TIMEOUT is shorter."""
+
+
+def handover_s(vehicle: Vehicle) -> float:
+    """How long the handover's attitude is sent."""
+    return LAST_ATTITUDE_S if vehicle.family == "px4" else HANDOVER_S
 
 
 def handover_attitude(

@@ -30,7 +30,7 @@ from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import BY_DELAY, CONTROL_MODES, ControlMode, Guard, GuardConfig, GuardFacts, Verdict
 from skygcs.core.geo import EnuFrame
-from skygcs.core.vehicle.bumpless_transfer import HANDOVER_S, SteadyThrust, handover_attitude
+from skygcs.core.vehicle.bumpless_transfer import SteadyThrust, handover_attitude, handover_s
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
@@ -38,7 +38,6 @@ from skygcs.core.vehicle.offboard_entry import (
     PX4_RESPONSE_S,
     attitude_refusal,
     guided_mode,
-    keeps_lean,
     loss_timeout_s,
     moves_setpoints_on,
 )
@@ -469,17 +468,17 @@ class OffboardController:
         return TickInput(at, dt_s, estimate, age_s, reference, following)
 
     def _begin_handover(self) -> tuple[float, Quaternion, float] | None:
-        """At the end of attitude setpoints, of an autopilot that takes the lean it finds for a lasting one."""
+        """At the end of attitude setpoints: the last one is flown on, or taken for a lasting one."""
         estimate = self._last.estimate
         by_attitude = self.control_mode is ATTITUDE or self.control_mode is RAW
-        if not by_attitude or not keeps_lean(self.vehicle) or attitude_refusal(self.vehicle) is not None:
+        if not by_attitude or attitude_refusal(self.vehicle) is not None:
             return None
         if estimate is None or not estimate.usable:
             return None
         law, yaw_rad = self.config.law, self._source.reference.yaw_rad
         integral, timeout_s = self._setpoints.memory.integral_enu, loss_timeout_s(self.vehicle)
         attitude, thrust = handover_attitude(law, integral, estimate.vel_enu_mps, yaw_rad, timeout_s)
-        return self._last.at + HANDOVER_S, attitude, thrust
+        return self._last.at + handover_s(self.vehicle), attitude, thrust
 
     def _lead_s(self) -> float:
         """How much later than now the vehicle flies by a position sent now, on average: the uplink and half of

@@ -180,12 +180,6 @@ def moves_setpoints_on(vehicle: Vehicle) -> bool:
     return vehicle.family == "ardupilot"
 
 
-def keeps_lean(vehicle: Vehicle) -> bool:
-    """True if its position control begins with the lean of the last attitude setpoint as its integral
-    (`handover_attitude`). ArduCopter's does; PX4 1.16's begins with none (resetIntegral while it flies an attitude)."""
-    return vehicle.family == "ardupilot"
-
-
 def loss_timeout_s(vehicle: Vehicle) -> float:
     """How long it goes on with the last setpoint after they have ceased: its own parameter, or the firmware's default
     (ArduCopter 3 s, PX4 1 s)."""

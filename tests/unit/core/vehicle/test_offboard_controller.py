@@ -17,6 +17,7 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import AxisGains, ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode, GuardConfig
 from skygcs.core.geo import Origin
+from skygcs.core.vehicle.bumpless_transfer import LAST_ATTITUDE_S
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.estimate_view import JUDGE_S
 from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
@@ -307,10 +308,11 @@ def flight() -> Flight:
 
 def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown(flight: Flight) -> None:
     told = flight.tick(0.51, fresh=False)
-    assert told.message is not None and told.message[0] == MESSAGES[ControlMode.POSITION]
+    assert told.message is not None and told.message[0] == MESSAGES[ControlMode.ATTITUDE] and flight.pilot.handing_over
     assert "flown by position setpoints" in texts(told) and "0.5" in texts(told)
     assert told.events[0].data["control_mode"] == "position"
-    assert not flight.tick().events
+    tick = flight.tick(LAST_ATTITUDE_S)
+    assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.POSITION] and not tick.events
     assert flight.pilot.status(flight.now)["reasons"]
 
 
@@ -347,6 +349,7 @@ def test_the_memory_is_forgotten_on_a_change_of_way_and_only_then(flight: Flight
     assert flight.pilot.memory is kept  # what was integrated is thrust, whatever the gains
     flight.pilot.want(ControlMode.VELOCITY)
     flight.tick()
+    flight.tick(LAST_ATTITUDE_S)
     memory = flight.pilot.memory
     assert memory.vel_setpoint_enu_mps is not None  # of the velocity just sent
     assert replace(memory, vel_setpoint_enu_mps=None) == Memory()
@@ -366,8 +369,9 @@ def test_the_link_bounds_the_pace_of_attitude_but_never_below_what_can_be_flown(
 
 def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity(flight: Flight) -> None:
     flight.pilot.attitude_hz_allowed = 14.1
-    tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY] and "14" in texts(tick)
+    assert "14" in texts(flight.tick())
+    tick = flight.tick(LAST_ATTITUDE_S)
+    assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY]
 
 
 # --- time
