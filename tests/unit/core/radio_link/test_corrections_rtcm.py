@@ -87,18 +87,6 @@ def test_types_are_those_that_pyrtcm_reads() -> None:
         assert str(content_of(frame).type) == RTCMReader.parse(frame).identity
 
 
-@given(MESSAGES, st.lists(st.integers(1, 400), min_size=1, max_size=30))
-def test_frames_come_out_of_a_stream_cut_anywhere(messages: list[bytes], cuts: list[int]) -> None:
-    deframer = RtcmDeframer()
-    stream, out = b"".join(messages), []
-    while stream:
-        cut = cuts.pop() if cuts else len(stream)
-        out += deframer.feed(stream[:cut])
-        stream = stream[cut:]
-    assert out == messages
-    assert (deframer.frames, deframer.bad_crc, deframer.skipped_bytes) == (len(messages), 0, 0)
-
-
 @given(MESSAGES, st.lists(st.binary(max_size=40), max_size=8))
 def test_noise_costs_no_frame_and_every_byte_is_accounted_for(messages: list[bytes], noise: list[bytes]) -> None:
     noise = [n.replace(b"\xd3", b"\xd2") for n in noise]

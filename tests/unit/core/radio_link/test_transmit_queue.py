@@ -19,15 +19,6 @@ def drained(queue: TxQueue[object]) -> list[tuple[object, Priority]]:
     return out
 
 
-def test_the_most_urgent_class_goes_first_and_the_oldest_within_it() -> None:
-    queue: TxQueue[object] = TxQueue()
-    for priority in reversed(Priority):
-        for n in range(2):
-            assert queue.offer((priority, n), priority, 0.0)
-    assert [entry for entry, _ in drained(queue)] == [(p, n) for p in Priority for n in range(2)]
-    assert len(queue) == 0
-
-
 def test_a_newer_setpoint_takes_the_turn_of_the_waiting_one() -> None:
     queue: TxQueue[object] = TxQueue()
     queue.offer("a1", Priority.SETPOINT, 0.0, "a")
@@ -36,14 +27,6 @@ def test_a_newer_setpoint_takes_the_turn_of_the_waiting_one() -> None:
     assert len(queue) == 2
     assert [entry for entry, _ in drained(queue)] == ["a2", "b1"]
     assert queue.counters[Priority.SETPOINT].replaced == 1
-
-
-def test_keyed_entries_do_not_wait_for_ever_behind_plain_ones() -> None:
-    queue: TxQueue[object] = TxQueue()
-    queue.offer("keyed", Priority.FORWARDED, 0.0, "k")
-    for n in range(5):
-        queue.offer(n, Priority.FORWARDED, 0.0)
-    assert queue.pop(0.0) == ("keyed", Priority.FORWARDED)
 
 
 @each("priority", list(Priority))
@@ -71,14 +54,6 @@ def test_a_full_class_takes_a_newer_value_of_a_waiting_key() -> None:
     assert not queue.offer("new", Priority.SETPOINT, 0.0, "new")
     assert queue.offer("newer", Priority.SETPOINT, 0.0, 0)
     assert queue.pop(0.0) == ("newer", Priority.SETPOINT)
-
-
-def test_one_full_class_leaves_room_in_the_others() -> None:
-    queue: TxQueue[object] = TxQueue()
-    for n in range(1000):
-        queue.offer(n, Priority.FORWARDED, 0.0)
-    assert queue.offer("stop", Priority.EMERGENCY, 0.0)
-    assert queue.pop(0.0) == ("stop", Priority.EMERGENCY)
 
 
 def test_no_flood_keeps_a_heartbeat_waiting_for_longer_than_a_second() -> None:

@@ -206,16 +206,6 @@ def test_a_setpoint_that_was_replaced_waits_from_the_newest_on_and_takes_its_siz
     assert queue.counters[Priority.SETPOINT].waits.percentile(1.0) == pytest.approx(0.1)
 
 
-def test_a_changed_rate_holds_from_then_on() -> None:
-    budget = TokenBucket(100.0, 100.0)
-    budget.spend(100, 0.0)
-    budget.set_rate(10.0, 0.5)
-    assert budget.saved(0.5) == pytest.approx(50)
-    assert budget.ready_at(60, 0.5) == pytest.approx(1.5)
-    budget.set_burst(20.0, 0.5)
-    assert budget.saved(0.5) == 20
-
-
 def test_a_frame_larger_than_the_burst_goes_when_all_is_saved_and_is_paid_for() -> None:
     queue: TxQueue[str] = TxQueue(TokenBucket(100.0, 100.0))
     for _ in range(2):
