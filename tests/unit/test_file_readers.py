@@ -39,7 +39,7 @@ from skygcs.core.trajectory import Piece as _Piece
 from skygcs.errors import SkygcsError
 from skygcs.ext.federation.hub_inventory import load_inventory
 from skygcs.ext.plans.position_table import parse_table
-from skygcs.number_text import parse_toml
+from skygcs.spelling import parse_toml
 from support.table import each
 
 ORIGIN = Origin(47.4, 8.5, 400.0)

@@ -1,10 +1,43 @@
-"""Names in texts for people."""
+"""Numbers and names as people see them."""
 
 from __future__ import annotations
 
-import pytest
+import math
 
-from skygcs.number_text import enumerated, listed
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.spelling import enumerated, is_number, listed, rounded
+from support.table import each
+
+
+def test_an_integer_beyond_every_float_is_no_number() -> None:
+    assert [value for value in (7, -0.5, 10**300) if not is_number(value)] == []
+    assert [value for value in (10**400, -(10**400), math.nan, math.inf, True, "7", None) if is_number(value)] == []
+
+
+@each(
+    ("value", "text"),
+    [
+        (10.9006, "10.9"),
+        (5.0, "5"),
+        (0.0, "0"),
+        (-0.0, "0"),
+        (0.0123, "0.012"),
+        (99.97, "100"),
+        (-3.04, "-3"),
+        (1e6, "1000000"),
+    ],
+)
+def test_a_number_is_shown_with_what_is_known_of_it(value: float, text: str) -> None:
+    assert rounded(value) == text
+
+
+@given(st.floats(-1e6, 1e6), st.integers(0, 3))
+def test_what_is_shown_is_the_number_but_for_half_a_digit(value: float, decimals: int) -> None:
+    assert float(rounded(value, decimals)) == pytest.approx(value, abs=0.51 * 10.0**-decimals)
+    assert rounded(math.inf) == "inf"
 
 
 @pytest.mark.parametrize(

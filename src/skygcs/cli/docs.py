@@ -15,7 +15,7 @@ from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.render import plural, print_json, print_lines
 from skygcs.errors import SkygcsError
-from skygcs.number_text import near_names
+from skygcs.spelling import near_names
 
 MOST_WIDTH = 110
 """Columns of a page on a wide terminal."""

@@ -26,8 +26,8 @@ from skygcs.core.params.metadata import ParamMetadata
 from skygcs.core.params.names import SORTS, Sort
 from skygcs.core.params.param_file import MAX_CHARS, Entry, Kind, ParamFile, Rounding, of_vehicle, parse, write
 from skygcs.errors import ConfigError, RefusedError
-from skygcs.number_text import enumerated
 from skygcs.rpc.client import Client
+from skygcs.spelling import enumerated
 
 params = typer.Typer(
     help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True

@@ -34,9 +34,9 @@ from skygcs.cli.options import Json, Targets
 from skygcs.cli.parsing import finite, parse_json, parse_unset_number, within
 from skygcs.cli.render import plural, print_json, say
 from skygcs.errors import DaemonUnreachable, RpcError
-from skygcs.number_text import is_number
 from skygcs.rpc.client import Client
 from skygcs.rpc.error_codes import INVALID_PARAMS, TARGET_ERROR
+from skygcs.spelling import is_number
 
 DEFAULT_HZ = 10.0
 LEAST_HZ = 0.2

@@ -28,7 +28,7 @@ from skygcs.config.signing import EVERY_MESSAGE
 from skygcs.config.tables import KeyPath, Problem
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle.targets import name_problem
-from skygcs.number_text import near_names
+from skygcs.spelling import near_names
 
 MAX_SOCKET_PATH_BYTES = 107
 """sun_path holds 108 bytes with the final zero (Linux, unix(7))."""

@@ -21,7 +21,7 @@ from typing import Any
 from skygcs.config.files import write_whole
 from skygcs.core.mavlink.dialect import ABSENT, MAX_PAYLOAD_BYTES, Dialect, FieldInfo, MessageInfo
 from skygcs.errors import DialectError
-from skygcs.number_text import near_names
+from skygcs.spelling import near_names
 
 TABLE_FORMAT = 3
 """Raised whenever the same XML gives another table: old cache files are then never read."""

@@ -31,7 +31,7 @@ from skygcs.config.models import LINK_TYPES, NO_TABLES, AnyLink, FleetConfig, Li
 from skygcs.config.tables import KeyPath, Problem, key_lines, line_of, model_at, with_absolute_paths
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
-from skygcs.number_text import near_names, parse_toml
+from skygcs.spelling import near_names, parse_toml
 
 _CORE_TABLES = set(FleetConfig.model_fields) - NO_TABLES
 

@@ -14,7 +14,7 @@ from skygcs.core.radio_link.capacity import AirTiming
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.stream_rates import rate_problem
 from skygcs.errors import ConfigError
-from skygcs.number_text import parse_toml
+from skygcs.spelling import parse_toml
 
 Profile = Literal["monitor", "nav", "control", "full", "custom"]
 Nodes = Annotated[int, Field(ge=2, le=64)]

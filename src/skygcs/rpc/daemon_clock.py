@@ -7,7 +7,7 @@ drifts. Each answer of daemon.info is one comparison (`core.clock_offset`).
 from __future__ import annotations
 
 from skygcs.core.clock_offset import ClockComparison
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 SAME_CLOCK_S = 0.1
 """Event loops keep the time of their turn: milliseconds, on a busy machine tens of them."""

@@ -30,7 +30,6 @@ from skygcs.errors import (
     SkygcsError,
     TargetError,
 )
-from skygcs.number_text import is_number, near_names
 from skygcs.rpc.error_codes import (
     INTERNAL_ERROR,
     INVALID_PARAMS,
@@ -44,6 +43,7 @@ from skygcs.rpc.error_codes import (
 from skygcs.rpc.json_lines import id_of, is_id
 from skygcs.rpc.models import MethodParams
 from skygcs.rpc.replies import NotJsonError, encode, error_reply, reply_of
+from skygcs.spelling import is_number, near_names
 
 MAX_ECHO_CHARS = 80
 """Most characters of a client's input that an error text repeats."""

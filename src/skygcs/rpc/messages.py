@@ -9,7 +9,6 @@ from pydantic import AfterValidator, Field, model_validator
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
 from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
-from skygcs.number_text import near_names
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject, command
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -27,6 +26,7 @@ from skygcs.rpc.models import (
     TargetsParams,
 )
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.spelling import near_names
 
 MAX_FIELDS = 255
 """No message has more fields: each takes a byte of its payload at least."""

@@ -34,9 +34,9 @@ from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, FlightRec
 from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
-from skygcs.number_text import is_number
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import MAX_VEHICLES, OnEvent
+from skygcs.spelling import is_number
 
 # --- journal ----------------------------------------------------------------------------------------------------------
 

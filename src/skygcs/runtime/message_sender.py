@@ -14,10 +14,10 @@ from skygcs.core.vehicle.gate import Clearance, clear_message
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
-from skygcs.number_text import enumerated
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
+from skygcs.spelling import enumerated
 
 SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"})
 

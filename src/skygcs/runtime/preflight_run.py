@@ -40,10 +40,10 @@ from skygcs.core.vehicle.origin import off_m
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import sticks_of
-from skygcs.number_text import rounded
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.spelling import rounded
 
 AT_ONCE = 8
 """Parameters of one vehicle requested at the same time: 8 x 45 B are 65 ms of 57600 baud; a missing one takes 7 s."""

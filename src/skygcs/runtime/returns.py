@@ -64,11 +64,11 @@ from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, Hom
 from skygcs.core.vehicle.orders import Where, goto
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.number_text import enumerated
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, in_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
+from skygcs.spelling import enumerated
 
 PERIOD_S = 0.5
 

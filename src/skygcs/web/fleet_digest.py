@@ -19,9 +19,9 @@ from typing import Any
 from pydantic_core import from_json
 
 from skygcs.errors import RpcError
-from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.rpc.replies import encode
+from skygcs.spelling import is_number
 
 LARGE_FLEET = 200
 """More vehicles are shown by site, and in full only where a person looks."""

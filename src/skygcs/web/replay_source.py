@@ -23,10 +23,10 @@ from skygcs.config.files import open_regular
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import RpcError, SkygcsError
 from skygcs.events import Event
-from skygcs.number_text import is_number
 from skygcs.rpc.client_connection import OnReport
 from skygcs.rpc.error_codes import INVALID_PARAMS, REFUSED, TARGET_ERROR
 from skygcs.rpc.replies import encode
+from skygcs.spelling import is_number
 from skygcs.tlog.files import FileWindow, LogFile
 from skygcs.tlog.format import ByteSource, LogEntry, LogKind
 from skygcs.tlog.reading import LogReader

@@ -6,7 +6,7 @@ An order that ends a flight has an allowance of its own, so that no flood of oth
 from __future__ import annotations
 
 from skygcs.core.token_bucket import TokenBucket
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 MAX_MESSAGE_BYTES = 4 << 20
 """A plan for a fleet of 50 with its trajectories is some 2 MB as text."""

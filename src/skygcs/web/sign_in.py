@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 Role = Literal["view", "command"]
 

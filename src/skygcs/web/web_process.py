@@ -29,8 +29,8 @@ from skygcs.config.models import FleetConfig
 from skygcs.config.web import DEFAULT_WEB_PORT, LOOPBACK
 from skygcs.ending_signals import ending_signals
 from skygcs.errors import LinkError, RpcError, SkygcsError
-from skygcs.number_text import is_number
 from skygcs.rpc.error_codes import INVALID_PARAMS
+from skygcs.spelling import is_number
 from skygcs.web.check_process import CheckRunner
 from skygcs.web.control_socket import ControlSocket, control_path
 from skygcs.web.daemon_connection import DaemonConnection

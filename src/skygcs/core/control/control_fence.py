@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 
 from skygcs.core.geo import EnuFrame, Origin, Vector, world_from_enu
 from skygcs.errors import ConfigError
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 Span = tuple[float, float]
 

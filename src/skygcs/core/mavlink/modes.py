@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from skygcs.number_text import near_names
+from skygcs.spelling import near_names
 
 Family = Literal["px4", "ardupilot", "generic"]
 

@@ -24,7 +24,7 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 MAX_HEIGHT_M = 500.0
 """Default limit of the height above home; as for takeoff heights."""

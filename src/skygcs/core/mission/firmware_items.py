@@ -31,7 +31,7 @@ from skygcs.core.mission.item import (
     UNSET_INT,
     MissionItem,
 )
-from skygcs.number_text import enumerated
+from skygcs.spelling import enumerated
 
 Family = Literal["px4", "ardupilot"]
 

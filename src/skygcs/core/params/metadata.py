@@ -27,7 +27,7 @@ from itertools import groupby
 from typing import Any
 
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Value, float32, is_name, value_text
-from skygcs.number_text import enumerated
+from skygcs.spelling import enumerated
 
 MAX_TABLE_BYTES = 4_000_000
 """A table is not larger: ArduPilot's, of all vehicles, has a tenth of it."""

@@ -15,7 +15,7 @@ from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.params.names import other_name
 from skygcs.core.vehicle.vehicle_model import Sticks
-from skygcs.number_text import listed
+from skygcs.spelling import listed
 
 
 class Verdict(StrEnum):

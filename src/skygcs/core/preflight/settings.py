@@ -33,7 +33,7 @@ from skygcs.core.vehicle.offboard_entry import (
     THRUST_AS_THRUST,
 )
 from skygcs.core.vehicle.vehicle_model import SEEN_AT_ALL
-from skygcs.number_text import listed, rounded
+from skygcs.spelling import listed, rounded
 
 LOST_PERIODS = 3
 """Setpoints that may be lost in a row before the vehicle concludes that no more will come."""

@@ -103,7 +103,7 @@ from skygcs.core.vehicle.takeoff_watch import ClimbTo, StandsSinceArming
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 FORCE_ARM_MAGIC = 21196.0
 """param2 of COMPONENT_ARM_DISARM: arms without checks, disarms in the air."""

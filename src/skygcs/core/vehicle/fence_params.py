@@ -25,7 +25,7 @@ from skygcs.core.vehicle.order_plan import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 FenceAction = Literal["none", "warn", "hold", "return", "land", "terminate"]
 ACTIONS: tuple[FenceAction, ...] = get_args(FenceAction)

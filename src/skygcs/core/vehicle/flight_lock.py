@@ -35,7 +35,7 @@ from skygcs.core.geo import Origin, distance_m
 from skygcs.core.params.names import EFFECTS, LOCKED, ParamRole, role_of
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryLimits
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.number_text import enumerated
+from skygcs.spelling import enumerated
 
 SAME_PLACE_M = 1.0
 """Two reports of one home differ by less: GLOBAL_POSITION_INT and HOME_POSITION round to centimetres, and an ArduCopter

@@ -38,7 +38,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
-from skygcs.number_text import listed
+from skygcs.spelling import listed
 
 CURRENT_S = 6.0
 """MISSION_CURRENT comes at 0.2 to 1 Hz by default."""

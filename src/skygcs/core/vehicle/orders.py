@@ -32,7 +32,7 @@ from skygcs.core.vehicle.order_plan import FORCE_HINT as FORCE_HINT  # beside th
 from skygcs.core.vehicle.stick_modes import PX4_STICK_MODES
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
-from skygcs.number_text import near_names, rounded
+from skygcs.spelling import near_names, rounded
 
 MAX_TAKEOFF_M = 500.0
 

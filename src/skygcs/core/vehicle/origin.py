@@ -48,7 +48,7 @@ from skygcs.core.vehicle.frames import GeodeticPosition
 from skygcs.core.vehicle.order_plan import Expectation, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 REACH_M = 20_000.0
 """At this distance the flat frame is 31 m above the ground; such an origin belongs to another site,

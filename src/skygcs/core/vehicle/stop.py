@@ -20,7 +20,7 @@ from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import require_live
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
-from skygcs.number_text import enumerated
+from skygcs.spelling import enumerated
 
 Action = Literal["hold", "land", "kill"]
 

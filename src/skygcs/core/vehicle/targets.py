@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeVar
 
 from skygcs.errors import TargetError
-from skygcs.number_text import near_names
+from skygcs.spelling import near_names
 
 MAX_PARTS = 1000
 """Longer lists are refused; a fleet has at most 250 vehicles."""

@@ -28,7 +28,7 @@ from typing import Literal
 
 from skygcs.errors import LinkError
 from skygcs.ext.corrections.chunked import ChunkedDecoder
-from skygcs.number_text import near_names
+from skygcs.spelling import near_names
 from skygcs.terminal_text import visible
 
 MAX_STATUS_BYTES = 512

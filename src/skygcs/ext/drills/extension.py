@@ -16,9 +16,9 @@ from skygcs.events import Event
 from skygcs.ext.drills.methods import METHODS
 from skygcs.extension import Extension, StateGroup
 from skygcs.links.simulated import SimulatedVehiclesLink
-from skygcs.number_text import rounded
 from skygcs.sim.drills import FAULTS, ActiveFault, FaultName, VehicleDrill
 from skygcs.sim.vehicle import SimVehicle
+from skygcs.spelling import rounded
 
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig

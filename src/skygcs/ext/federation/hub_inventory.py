@@ -27,7 +27,7 @@ from skygcs.config.files import read_named
 from skygcs.config.tables import KeyPath, Model, key_lines, line_of
 from skygcs.errors import ConfigError
 from skygcs.ext.federation.config import ANY_SITE, SITE_PATTERN, ServerAddress, is_loopback
-from skygcs.number_text import parse_toml
+from skygcs.spelling import parse_toml
 
 MAX_USERS = 1000
 MAX_INVENTORY_BYTES = 4 << 20

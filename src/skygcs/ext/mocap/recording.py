@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skygcs.ext.mocap.pose import Pose, Quaternion, Vector
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 MAX_LINE_BYTES = 4096
 """PIPE_BUF of Linux: a write of so much into a pipe is whole or not at all, so a line is never torn. Some 35 bodies."""

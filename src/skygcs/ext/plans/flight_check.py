@@ -52,11 +52,11 @@ from skygcs.ext.plans.plan_checks import (
     return_heights,
     state_finding,
 )
-from skygcs.number_text import rounded
 from skygcs.runtime.flight_notes import FlightNotes
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
+from skygcs.spelling import rounded
 
 MAX_STEPS_SHOWN = 50
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from skygcs.errors import ConfigError
-from skygcs.number_text import parse_toml
+from skygcs.spelling import parse_toml
 
 Which = Literal["initial", "final"]
 WHICH: tuple[Which, Which] = ("initial", "final")

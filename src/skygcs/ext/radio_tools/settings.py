@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from skygcs.errors import ConfigError
-from skygcs.number_text import parse_toml
+from skygcs.spelling import parse_toml
 
 SERIAL_BAUD: Mapping[int, int] = {
     1: 1200,

@@ -50,8 +50,8 @@ from skygcs.ext.federation.protocol.order_messages import (
 )
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from skygcs.ext.federation.protocol.site_names import SITE_NAME, qualified, select_at
-from skygcs.number_text import is_number
 from skygcs.rpc.order_reports import OrderReports
+from skygcs.spelling import is_number
 
 FIRST_ANSWER_S = 0.8
 """Time limit of the first answer, from the beginning of the order, the comparison of the clocks included: the loss of

@@ -36,8 +36,8 @@ from skygcs.ext.federation.bridge.site_clock import SiteClock
 from skygcs.ext.federation.protocol.own_states import LeaseOf, OwnStates, no_lease
 from skygcs.ext.federation.protocol.site_names import name_of_token
 from skygcs.ext.federation.protocol.state_batch import STATE_GROUPS, encode_batch
-from skygcs.number_text import is_number
 from skygcs.rpc.client import Client
+from skygcs.spelling import is_number
 
 SLOW_S = 0.5
 """Period of the slow batches: 2 Hz."""

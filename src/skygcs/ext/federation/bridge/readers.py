@@ -28,7 +28,7 @@ from skygcs.ext.federation.protocol.received_json import cleaned
 from skygcs.ext.federation.protocol.remote_sites import FORGET_AFTER_S, MAX_SITES, RemoteSites
 from skygcs.ext.federation.protocol.site_names import SITE_NAME
 from skygcs.ext.federation.protocol.state_batch import decode_batch
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 FAST_HZ = 10
 """``subscribe_hz`` from which a station reads the fast batches."""

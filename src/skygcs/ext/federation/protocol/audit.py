@@ -23,7 +23,7 @@ from skygcs.ext.federation.protocol.order_messages import (
     is_key,
 )
 from skygcs.ext.federation.protocol.received_json import MAX_TEXT_CHARS, printable
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 MAX_PARAMS_BYTES = 1024
 """Longer parameters are left out of the record: the daemon refuses an order with them."""

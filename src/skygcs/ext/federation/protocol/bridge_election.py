@@ -27,7 +27,7 @@ from enum import StrEnum
 from pydantic_core import from_json, to_json
 
 from skygcs.ext.federation.protocol.received_json import MAX_INTEGER, printable
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 ASKS = 3
 ASK_EVERY_S = 0.2

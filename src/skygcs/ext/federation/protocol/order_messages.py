@@ -17,7 +17,7 @@ from pydantic_core import from_json, to_json
 
 from skygcs.ext.federation.protocol.received_json import MAX_TEXT_CHARS, cleaned, printable
 from skygcs.ext.federation.protocol.site_names import MAX_NAME_CHARS, name_of_token, subject_token
-from skygcs.number_text import is_number
+from skygcs.spelling import is_number
 
 VERSION = 1
 

@@ -21,7 +21,7 @@ from skygcs.ext.logs.report.day_figures import (
     VehicleDay,
 )
 from skygcs.ext.logs.tables import VehicleKey, csv_text
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 from skygcs.terminal_text import visible
 
 NONE = "–"

@@ -12,7 +12,7 @@ from html import escape
 from typing import NamedTuple
 
 from skygcs.ext.logs.report.day_figures import Line
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 WIDTH, CURVE_HEIGHT, MAP_HEIGHT = 360.0, 170.0, 300.0
 LEFT, RIGHT, TOP, BOTTOM = 44.0, 8.0, 8.0, 22.0

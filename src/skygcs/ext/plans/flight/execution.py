@@ -67,7 +67,7 @@ from skygcs.ext.plans.flight.plan_states import (
     PlanState,
 )
 from skygcs.ext.plans.flight.sights import ClockProgress, Departure, Measurement, Pair, Tubes, pairs_near, pairs_text
-from skygcs.number_text import enumerated
+from skygcs.spelling import enumerated
 
 FAR = 2.0
 """Tubes away from its place a vehicle is in trouble at once."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from skygcs.core.preflight.report import ReturnSetting, offered_heights
 from skygcs.ext.plans.flight import remedies
 from skygcs.ext.plans.flight.remedies import Remedy
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 DEFAULT_FLIGHT_TIME_S = 600.0
 """Flight time of a full battery, where nothing is measured or configured: ten minutes, which an F450 with 5000 mAh

@@ -27,7 +27,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.core.trajectory.timing import SAME_PLACE_M
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight import remedies
-from skygcs.number_text import enumerated
+from skygcs.spelling import enumerated
 
 
 class Guidance(StrEnum):

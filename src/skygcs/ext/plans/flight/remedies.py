@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from skygcs.number_text import rounded
+from skygcs.spelling import rounded
 
 RUN = "skygcs-cli plan run FILE"
 MAKE = "skygcs-cli plan make FILE --fleet -o plan.json"
