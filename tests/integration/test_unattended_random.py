@@ -45,7 +45,7 @@ async def test_orders_that_are_accepted_bring_nobody_too_near_another(tmp_path: 
     """Without the checks of the product the judge must find some."""
     refusal = SeparationMonitor.goto_refusal if checked else lambda *_, **__: None
     with mock.patch.object(SeparationMonitor, "goto_refusal", refusal):
-        judged = await fly_by_orders(tmp_path, 4)
+        judged = await fly_by_orders(tmp_path, 34)
     assert bool(judged.inside) is not checked, (judged.inside, judged.done)
 
 
