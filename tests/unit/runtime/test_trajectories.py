@@ -46,7 +46,9 @@ def actor(name: str) -> VehicleActor:
         ),
         config=SimpleNamespace(control=ControlSettings()),
         authority_refusal=lambda: None,
-        runner=SimpleNamespace(note_effect=lambda: None, superseded=lambda: None),
+        runner=SimpleNamespace(
+            note_effect=lambda: None, superseded=lambda: None, ledger=SimpleNamespace(effective_serial=0)
+        ),
         offboard=SimpleNamespace(controller=SimpleNamespace(flight=None), lead_s=0.0),
     )
     return cast(VehicleActor, made)

@@ -64,6 +64,8 @@ class SetpointGuidance:
         if controller.state is not OffboardState.FLYING:
             return Departure(_why(why), why or f"control is {controller.state.value}")
         if self._group is not None and name in self._group.left:
+            if (ordered := self._group.ordered_otherwise(actor)) is not None:
+                return Departure(DepartureCause.ORDER, ordered)
             return Departure(
                 DepartureCause.GUARD,
                 why or "it does not follow its trajectory any more: its reference led out of the fence",
