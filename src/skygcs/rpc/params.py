@@ -429,7 +429,7 @@ async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
 
 
 async def undo_drop(context: Context, params: UndoParams) -> JsonObject:
-    """Forget one of them."""
+    """Forget one of these changes; the parameters stay as they are."""
     await context.services.fleet.undo.drop(params.id)
     return {"dropped": params.id}
 

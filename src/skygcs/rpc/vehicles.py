@@ -99,7 +99,9 @@ class GotoParams(TargetsParams):
         False, description="Although it is beyond the configured limit, or another vehicle is in the way."
     )
     same_place: bool = Field(False, description="All to the same point, not in formation.")
-    together: Targets | None = Field(None, description="Vehicles that the caller keeps apart from these.")
+    together: Targets | None = Field(
+        None, description="Vehicles that the caller keeps apart from these: never in the way."
+    )
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:

@@ -31,7 +31,7 @@ METRICS: dict[str, MetricInfo] = {
             ("corrections_age_seconds", "Time since the last RTCM message; absent before the first."),
             ("scrapes_total", "Scrapes."),
             ("scrape_cpu_seconds", "CPU time of the last collection."),
-            ("scrape_longest_turn_seconds", "The longest time that it kept the loop."),
+            ("scrape_longest_turn_seconds", "The longest time that the last collection kept the loop."),
             ("series", "Time series of this answer."),
             ("series_dropped", "Time series left out, as there were too many."),
         ),
@@ -44,7 +44,7 @@ METRICS: dict[str, MetricInfo] = {
         *metrics_with(
             "link",
             ("link_up", "1 while the link is open."),
-            ("link_failures_total", "Failures, also to open."),
+            ("link_failures_total", "Times that it failed or could not be opened."),
             ("link_opened_total", "Times that it was opened."),
             ("link_channels", "Open channels: peers, clients, the serial port."),
             ("link_silence_seconds", "Time since a valid frame came on it."),

@@ -68,12 +68,12 @@ METRICS: dict[str, MetricInfo] = {
             ("federation_site_restarts_total", "Restarts of its bridge that were seen."),
         ),
         *metrics_with("series", ("federation_batches_sent_total", "Batches of states that were published.")),
-        *metrics_with("status", ("federation_orders_sent_total", "Orders to other sites, by their end.")),
+        *metrics_with("status", ("federation_orders_sent_total", "Orders to other sites, by what became of them.")),
         *metrics_with("status", ("federation_orders_taken_total", "Orders of other stations, by decision.")),
         *metrics_with(
             "vehicle",
             ("federation_lease_held", "1 while this site may command the vehicle."),
-            ("federation_lease_remaining_seconds", "How long it still may without a renewal."),
+            ("federation_lease_remaining_seconds", "How long this site may still command it without a renewal."),
         ),
         *metrics_with(
             "",
