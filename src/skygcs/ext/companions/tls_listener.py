@@ -234,8 +234,8 @@ class TlsListener:
         return False
 
     async def _watch_pin(self) -> None:
-        """Close the connections of a ground whose certificate was replaced or removed. They are compared at each look: a
-        handshake may have read the new files before it, or begun with the old ones."""
+        """Close the connections of a ground whose certificate was replaced or removed. They are compared at each
+        look: a handshake may have read the new files before it, or begun with the old ones."""
         while True:
             await asyncio.sleep(PIN_LOOK_S)
             try:
