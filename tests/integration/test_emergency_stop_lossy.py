@@ -106,7 +106,7 @@ async def test_a_stop_outlives_whoever_ordered_it(tmp_path: Path) -> None:
 
 async def test_a_kill_is_sent_only_with_its_word(tmp_path: Path) -> None:
     async with flown(tmp_path, 0, 0) as (_, copters), connect(tmp_path / "s") as gcs:
-        with pytest.raises(RpcError, match=r"v1, v2, .*'kill-2'"):
+        with pytest.raises(RpcError, match=r"v1 and v2, .*'kill-2'"):
             await gcs.call("vehicles.stop", targets="all", action="kill")
         assert not any(c.heard for c in copters)
         outcomes = (await gcs.call("vehicles.stop", targets="all", action="kill", confirm="kill-2"))["outcomes"]

@@ -125,11 +125,17 @@ class ReportingContext:
     """The context of a request whose client asked for its outcomes as they come: its session, with `OrderReports`."""
 
     def __init__(self, session: Context, request_id: str | float) -> None:
-        self._session = session
         self.reports: OrderReports | None = OrderReports(session, request_id)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._session, name)
+        # the rest is the session's; each by its name, so that the type checker knows it
+        self.services = session.services
+        self.slices = session.slices
+        self.client = session.client
+        self.subscribe = session.subscribe
+        self.unsubscribe = session.unsubscribe
+        self.relay_operator = session.relay_operator
+        self.at_end = session.at_end
+        self.notify = session.notify
+        self.described = session.described
 
 
 class HasDict(Protocol):

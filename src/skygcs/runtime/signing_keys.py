@@ -108,6 +108,7 @@ class SigningStore:
         self._known: dict[str, Saved | None] = {}
         """By key id: content of its file as it was read or written here last."""
         self.shared = set[str]()
+        self._lock_tries = LOCK_TRIES
         self.problems = {} if folder is not None else {"": "there is no folder for the clocks of the keys"}
 
     def load(self, key_id: str) -> Kept:
@@ -132,7 +133,7 @@ class SigningStore:
         path, saved = self._path(key_id), Saved(timestamp, wall, exact)
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with _alone(self._folder):
+            with self._alone(self._folder):
                 there = _there(path)
                 if there is not None and there != self._known.get(key_id):
                     self.shared.add(key_id)
@@ -146,6 +147,27 @@ class SigningStore:
         else:
             self.problems.pop(key_id, None)
 
+    @contextmanager
+    def _alone(self, folder: Path) -> Iterator[None]:
+        """Other programs wait meanwhile with what they save in this folder. One that stands still in it is waited for
+        once; while it does, and on a file system without locks, the block runs all the same. Raises OSError."""
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            tries, self._lock_tries = self._lock_tries, 1
+            for left in reversed(range(tries)):
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    time.sleep(LOCK_EVERY_S if left else 0.0)
+                except OSError:
+                    break
+                else:
+                    self._lock_tries = LOCK_TRIES
+                    break
+            yield
+        finally:
+            os.close(handle)
+
     def _path(self, key_id: str) -> Path:
         assert self._folder is not None
         return self._folder / f"{key_id}.json"
@@ -157,23 +179,6 @@ def _there(path: Path) -> Saved | None:
         return read_state(path, MAX_FILE_BYTES, _saved)
     except (OSError, ValueError):
         return None
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Other programs wait meanwhile with what they save in this folder; not for long, as one may stand still in it.
-    Raises OSError."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        for _ in range(LOCK_TRIES):
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                time.sleep(LOCK_EVERY_S)
-        yield
-    finally:
-        os.close(handle)
 
 
 MAX_REPORTED = 64

@@ -88,7 +88,7 @@ async def test_a_kill_without_its_word_is_an_error_for_all_of_them(bench: Bench)
     peer = await bench.connect()
     error = (await peer.call("vehicles.stop", targets="all", action="kill"))["error"]
     assert error["code"] == -32002
-    assert "alpha, bravo, carol" in error["message"] and "'kill-3'" in error["message"]
+    assert "alpha, bravo and carol" in error["message"] and "'kill-3'" in error["message"]
     assert bench.daemon.vehicle("alpha").orders == []
     assert (await peer.call("vehicles.stop", targets="all", action="fall"))["error"]["code"] == -32602
 

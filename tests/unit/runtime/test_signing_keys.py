@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.signing import MAX_TIMESTAMP, TICKS_PER_S, key_id
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
+from skygcs.runtime import signing_keys
 from skygcs.runtime.signing_keys import AFTER_CRASH_S, Signing, SigningStore, default_state_dir
 from support.inline_disk import inline_disk
 
@@ -200,6 +202,26 @@ async def test_of_two_daemons_with_one_key_the_later_time_counts_whoever_saves_l
     one.reset_clock(key_id(secret))
     await asyncio.sleep(1.0)
     assert SigningStore(tmp_path).load(key_id(secret)).timestamp < ahead
+
+
+@pytest.mark.parametrize("number", [errno.EWOULDBLOCK, errno.ENOLCK, errno.EBADF])
+def test_a_lock_that_cannot_be_had_keeps_no_clock_from_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """A program that was stopped amid a save, whose lock is waited for once, and file systems that have none."""
+
+    def flock(handle: int, kind: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    waits: list[float] = []
+    monkeypatch.setattr("fcntl.flock", flock)
+    monkeypatch.setattr("time.sleep", waits.append)
+    store = SigningStore(tmp_path)
+    for stamp in (1, 2, 3):
+        store.save("key", stamp, wall=0, exact=True)
+        assert store.load("key").timestamp == stamp and not store.problems
+    assert sum(waits) < signing_keys.LOCK_TRIES * signing_keys.LOCK_EVERY_S
+    assert not store.shared
 
 
 async def test_at_the_end_every_clock_is_saved_however_often_the_task_is_cancelled(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Checks of what a vehicle reports about itself, and of how well it is received.
 
-One that flies by poses of motion capture: whether they come, and whether its firmware uses them.
+A vehicle that flies by poses of motion capture is asked whether they come, and whether its firmware uses them:
 
 parameter          wanted                      source
 ----------------   -------------------------   --------------------------------------------------------------------

@@ -119,7 +119,7 @@ class Companions(Extension[CompanionsConfig]):
         return dial
 
     def _on_event(self, link: CompanionLink, event: Mapping[str, Any]) -> None:
-        """An event at a companion. Who has to mend its keys looks here."""
+        """An event at a companion. Those of its keys are events here, too: it is mended by a person on the ground."""
         data = event.get("data")
         change = data.get("change") if isinstance(data, dict) else None
         if event.get("kind") == "companion" and change in ("keys_kept", "keys_read"):
@@ -136,7 +136,7 @@ class Companions(Extension[CompanionsConfig]):
                 continue
             if (found := _pin_of(identity)) == pin:
                 self._pins[name] = changed, pin
-            elif found is not None or _is_removed(identity):
+            elif found is not None or identity.is_unpinned():
                 link.woke("the pinned certificate was replaced or removed")
 
 
@@ -146,14 +146,3 @@ def _pin_of(identity: Identity) -> bytes | None:
         return read_certificate(identity.pinned)
     except LinkError:
         return None
-
-
-def _is_removed(identity: Identity) -> bool:
-    """True if there is no pinned certificate, not even one that cannot be read."""
-    try:
-        identity.pinned.lstat()
-    except FileNotFoundError:
-        return True
-    except OSError:
-        return False
-    return False

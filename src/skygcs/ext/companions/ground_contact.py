@@ -13,7 +13,8 @@
     waiting     for ground_lost_s                                         acted       return
     acted       contact, and control goes on: the order was denied        watched     -
     any         control has ended: an order, a pilot, the guard           idle        -
-    any         it ticks again after a standstill, for LISTEN_S           the same    -
+    any         it ticks again after a standstill, for LISTEN_S; after    the same    -
+                MOST_STANDSTILLS without contact they count as silence
 
 Contact is a call of the ground, or a heartbeat of it that is proven to be its own. An order of this table is given
 once in each loss: a pilot who takes the vehicle out of it is not answered by another one. Without control nothing is
@@ -36,6 +37,9 @@ LATE_S = 0.5
 LISTEN_S = 1.0
 """Two of the ground's signs of life, and time to read what waits."""
 
+MOST_STANDSTILLS = 3
+"""Without contact in between; a loop that is late at every tick would otherwise never lose the ground."""
+
 GroundLost = Literal["return", "hold", "land", "finish"]
 """The configured reaction."""
 
@@ -54,7 +58,7 @@ class ContactState(StrEnum):
 class GroundContact:
     """The contact of one vehicle. Call `tick` a few times a second; it returns what is to be ordered, or None."""
 
-    __slots__ = ("_since", "_stands_until", "_ticked_at", "action", "lost_s", "state")
+    __slots__ = ("_contact_at", "_listens_until", "_since", "_standstills", "_ticked_at", "action", "lost_s", "state")
 
     def __init__(self, action: GroundLost, lost_s: float) -> None:
         """``lost_s``: the ground is lost after a silence of so long."""
@@ -64,7 +68,10 @@ class GroundContact:
         self._since = 0.0
         """When control began, or when the end of the trajectory was reached."""
         self._ticked_at = math.inf
-        self._stands_until = -math.inf
+        self._listens_until = -math.inf
+        self._contact_at = -math.inf
+        self._standstills = 0
+        """Since the last contact."""
 
     @property
     def lost(self) -> bool:
@@ -74,13 +81,18 @@ class GroundContact:
     def tick(self, now: float, *, controlled: bool, follows: bool, contact_at: float) -> Action | None:
         """``controlled``: it is flown by setpoints of this companion; ``follows``: on a trajectory that comes to its
         end by itself; ``contact_at``: the last contact with the ground."""
-        if now - self._ticked_at > LATE_S:
-            self._stands_until = now + LISTEN_S
+        # a standstill
+        if contact_at > self._contact_at:
+            self._contact_at, self._standstills = contact_at, 0
+        if now - self._ticked_at > LATE_S and self._standstills < MOST_STANDSTILLS:
+            self._listens_until = now + LISTEN_S
+            self._standstills += 1
         self._ticked_at = now
+        # the contact
         if not controlled:
             self.state = ContactState.IDLE
             return None
-        if now < self._stands_until:
+        if now < self._listens_until:
             return None
         if self.state is ContactState.IDLE:
             self.state, self._since = ContactState.WATCHED, now

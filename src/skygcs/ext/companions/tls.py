@@ -66,6 +66,17 @@ class Identity:
                 found.append(None)
         return tuple(found)
 
+    def is_unpinned(self) -> bool:
+        """True if the pinned certificate is gone while our own files are there, as after its owner removed it. A file
+        that cannot be read is not gone, and where our own are missing, too, nobody has removed one: a disk fails."""
+        try:
+            self.pinned.lstat()
+        except FileNotFoundError:
+            return self.certificate.is_file() and self.key.is_file()
+        except OSError:
+            pass
+        return False
+
 
 class PinnedTls:
     """A TLS context that accepts one certificate, and the check to make after each handshake
@@ -115,12 +126,12 @@ class PinnedTls:
         shown = None if connection is None else connection.getpeercert(binary_form=True)
         return shown is not None and hmac.compare_digest(hashlib.sha256(shown).digest(), self._pinned_sha256)
 
-    def is_replaced(self, pinned: Path) -> bool:
-        """True if another certificate is pinned now. A file that cannot be read replaces nothing."""
+    def is_revoked(self, identity: Identity) -> bool:
+        """True if another certificate is pinned now, or none (`Identity.is_unpinned`)."""
         try:
-            return hashlib.sha256(read_certificate(pinned)).digest() != self._pinned_sha256
+            return hashlib.sha256(read_certificate(identity.pinned)).digest() != self._pinned_sha256
         except LinkError:
-            return False
+            return identity.is_unpinned()
 
     def explain(self, error: OSError) -> str | None:
         """Why a handshake failed and what to do; None if ``error`` is not about TLS."""

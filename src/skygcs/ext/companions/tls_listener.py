@@ -10,8 +10,8 @@
     the ground's                    a session as on the Unix socket, with the same limits
 
 Without its files the port stays closed; they are looked for again every RETRY_S, and read again when they change. Once
-read, they count until others can be read: a file that is gone or half written cuts no ground from a vehicle in the air,
-but raises an alarm. Another pinned certificate counts at once.
+read, they count until others can be read: a file that is half written, or a disk that fails, cuts no ground from a
+vehicle in the air, but raises an alarm. Another pinned certificate counts at once, and so does the removal of it.
 """
 
 from __future__ import annotations
@@ -148,13 +148,13 @@ class TlsListener:
 
     def _refresh(self) -> PinnedTls:
         """The context of the files as they are now, or of the last ones that could be used. Raises LinkError if there
-        are none, or another certificate is pinned since."""
+        are none, or their pinned certificate was replaced or removed since."""
         read_at, kept = self._identity.changed(), None
         if self._tls is None or read_at != self._read_at:
             try:
                 self._tls, self._read_at = PinnedTls(self._identity, server=True), read_at
             except LinkError as error:
-                if self._tls is None or self._tls.is_replaced(self._identity.pinned):
+                if self._tls is None or self._tls.is_revoked(self._identity):
                     self._tls = None
                     raise
                 kept = str(error)
@@ -212,7 +212,7 @@ class TlsListener:
         except asyncio.CancelledError:
             sock.close()
             raise
-        except SkygcsError as error:  # another certificate was pinned, and the files beside it cannot be used
+        except SkygcsError as error:  # the pinned certificate was removed, or replaced beside files that cannot be used
             sock.close()
             self.counters["handshakes_failed"] += 1
             self._report(str(error))
@@ -234,7 +234,7 @@ class TlsListener:
         return False
 
     async def _watch_pin(self) -> None:
-        """Close the connections of a ground whose certificate was replaced by another one. They are compared at each
+        """Close the connections of a ground whose certificate was replaced or removed. They are compared at each
         look: a handshake may have read the new files before it, or begun with the old ones."""
         while True:
             await asyncio.sleep(PIN_LOOK_S)

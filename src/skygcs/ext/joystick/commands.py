@@ -342,7 +342,8 @@ class JoystickFlight:
 
     async def _not_taken(self) -> str | None:
         """Why a vehicle whose engagement is under way is not to be stopped: it was refused, and others may fly it;
-        None: it is, or may be, ours. Waits until that is answered or setpoints begin, STOP_WITHIN_S at most."""
+        None: it is, or may be, ours. Waits until that is answered, setpoints begin, or the daemon does not answer,
+        STOP_WITHIN_S at most."""
         engaging, self._engaging = self._engaging, None
         if engaging is None:
             return None
@@ -361,6 +362,8 @@ class JoystickFlight:
                 status = (await self._answer(self._gcs.call("control.status", targets=self._name)))[0]
                 if status["state"] == "engaging":
                     return None
+        except RpcError:
+            return None
         finally:
             engaging.cancel()
         return None

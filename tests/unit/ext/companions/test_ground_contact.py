@@ -73,6 +73,15 @@ def test_a_standstill_of_the_companion_is_no_silence_of_the_ground(action: Groun
     assert at == 20.0 + LISTEN_S, "it is lost after a standstill, too"
 
 
+@each("period_s", [0.6, 1.5, 3.0])
+def test_a_companion_that_is_late_at_every_tick_loses_the_ground_all_the_same(period_s: float) -> None:
+    watch = GroundContact("hold", LOST_S)
+    times = [k * period_s for k in range(40)]
+    heard = [watch.tick(now, controlled=True, follows=False, contact_at=now) for now in times]
+    silent = [watch.tick(times[-1] + now, controlled=True, follows=False, contact_at=times[-1]) for now in times[1:]]
+    assert set(heard) == {None} and silent.count("hold") == 1
+
+
 @each("follows", [True, False])
 def test_a_ground_that_comes_back_before_the_order_goes_on(follows: bool) -> None:
     watch = GroundContact("finish", LOST_S)

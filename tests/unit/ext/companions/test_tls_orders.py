@@ -118,36 +118,57 @@ async def test_the_ground_may_do_what_a_local_client_may(door: Door) -> None:
     assert door.listener._limits.known == "127.0.0.1"
 
 
-HALF = "half written"
+async def test_an_open_connection_ends_with_its_pin(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tls_listener, "PIN_LOOK_S", 0.02)
+    await asyncio.sleep(1.1)  # the look that has begun
+    pin = door.companion / "ground.crt"
+    content = pin.read_bytes()
+    ground = await door.connect()
+    assert (await ground.call("daemon.info"))["version"]
+    pin.unlink()
+    await door.until(lambda: door.counted("unpinned") == 1)
+    with pytest.raises(DaemonUnreachable):
+        await ground.call("vehicles.arm", targets="all")
+    await ground.close()
+    pin.write_bytes(content)
+    again = await door.connect()
+    assert (await again.call("daemon.info"))["version"]
+    await again.close()
 
-SPOILT = [
-    *((name, None) for name in ("ground.crt", "companion.crt", "companion.key")),
-    *((name, HALF) for name in ("ground.crt", "companion.crt", "companion.key")),
+
+SPOILT: list[tuple[str, int | None]] = [
+    *((name, 100) for name in ("ground.crt", "companion.crt", "companion.key")),  # half written
+    *((name, None) for name in ("companion.crt", "companion.key")),
+    ("all three", None),  # the folder is on a disk that fails
 ]
 
 
-@each("name, how", SPOILT)
+@each("name, left_bytes", SPOILT)
 async def test_files_that_cannot_be_read_any_more_cut_no_ground(
-    door: Door, monkeypatch: pytest.MonkeyPatch, name: str, how: str | None
+    door: Door, monkeypatch: pytest.MonkeyPatch, name: str, left_bytes: int | None
 ) -> None:
     """A worn card, a copy that breaks off: the last good ones count, with an alarm, until another one is pinned."""
     monkeypatch.setattr(tls_listener, "PIN_LOOK_S", 0.02)
     await asyncio.sleep(1.1)  # the look that has begun
     door.events.clear()
-    file, changes = door.companion / name, lambda: [event.data["change"] for event in door.events]
-    content, mode = file.read_bytes(), file.stat().st_mode
+    changes = lambda: [event.data["change"] for event in door.events]  # noqa: E731
+    names = ("ground.crt", "companion.key", "companion.crt") if name == "all three" else (name,)
+    before = {file: (file.read_bytes(), file.stat().st_mode) for file in (door.companion / one for one in names)}
     ground = await door.connect()
-    if how is None:
-        file.unlink()
+    if left_bytes is None:
+        door.companion.rename(door.companion.with_suffix(".aside")) if len(names) == 3 else next(iter(before)).unlink()
     else:
-        file.write_bytes(content[:100])
+        for file, (content, _) in before.items():
+            file.write_bytes(content[:left_bytes])
     await door.until(lambda: "keys_kept" in changes())
-    assert name in door.events[-1].text and name in str(door.listener.status()["problem"])
+    assert names[-1] in door.events[-1].text and names[-1] in str(door.listener.status()["problem"])
     later = await door.connect()
     for client in (ground, later):
         assert (await client.call("daemon.info"))["version"]
-    file.write_bytes(content)
-    file.chmod(mode)
+    door.companion.mkdir(exist_ok=True)
+    for file, (content, mode) in before.items():
+        file.write_bytes(content)
+        file.chmod(mode)
     await door.until(lambda: changes()[-1] == "keys_read")
     assert door.counted("unpinned") == 0 and changes().count("keys_kept") == 1
     for client in (ground, later):
@@ -332,6 +353,13 @@ async def test_without_its_files_the_door_stays_closed_until_they_come(
         assert [event.data["change"] for event in door.events][-1] == "rpc_open"
     finally:
         await door.server.close()
+
+
+async def test_a_pin_that_is_removed_counts_at_once(door: Door) -> None:
+    (door.companion / "ground.crt").unlink()
+    await door.refuses(door.ground)
+    assert "ground.crt is missing" in str(door.listener.problem)
+    assert door.counted("accepted") == 0
 
 
 async def test_a_companion_with_another_certificate_gets_no_orders(door: Door, tmp_path: Path) -> None:

@@ -9,10 +9,12 @@ from collections.abc import AsyncIterator
 from typing import Any, cast
 
 from skygcs.cli.connection import Exit
+from skygcs.errors import RpcError
 from skygcs.ext.joystick.commands import JoystickFlight
 from skygcs.ext.joystick.device_events import AXIS, BUTTON, INITIAL
 from skygcs.ext.joystick.stick_mapping import StickAxes, StickLimits
 from skygcs.ext.joystick.stick_session import SessionState
+from skygcs.rpc import error_codes
 from support.hosts import until
 from support.table import each
 
@@ -30,6 +32,8 @@ class SlowDaemon:
     async def call(self, method: str, **params: Any) -> Any:
         if method == "control.status":
             self.looked += 1
+            if self.state == "refused":
+                raise RpcError(error_codes.LIMIT_EXCEEDED, "too many requests")
             return [{"state": self.state, "mode": None, "successor": None, "reasons": []}]
         assert method == "control.set"
         self.asked.set()
@@ -56,6 +60,7 @@ RELEASED = [
     (False, "flying", []),  # by the setpoints of another client
     (True, "off", ["hold"]),
     (False, "engaging", ["hold"]),  # setpoints have begun: not waited for
+    (False, "refused", ["hold"]),  # its state is not known
 ]
 
 
