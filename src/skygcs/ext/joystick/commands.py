@@ -318,7 +318,7 @@ class JoystickFlight:
 
     async def _stop(self, flying: bool) -> None:
         """Zero velocity, then hold. A vehicle that somebody else has, or that was not taken, is left alone."""
-        if (why := await self._not_taken()) is not None:
+        if (why := await self._not_taken(flying)) is not None:
             self._pending += self._session.on_stopped(True, f"{why}: nothing is ordered")
             return
         self.counts["stops"] += 1
@@ -340,16 +340,15 @@ class JoystickFlight:
             ok, message = False, f"hold: {error}"
         self._pending += self._session.on_stopped(ok, message if ok else f"HOLD FAILED: {message}")
 
-    async def _not_taken(self) -> str | None:
-        """Why a vehicle whose engagement is under way is not to be stopped: it was refused, and others may fly it;
+    async def _not_taken(self, flying: bool) -> str | None:
+        """Why a vehicle that is not flown yet is not to be stopped: it was refused, and others may fly it;
         None: it is, or may be, ours. Waits until that is answered, setpoints begin, or the daemon does not answer,
         STOP_WITHIN_S at most."""
         engaging, self._engaging = self._engaging, None
-        if engaging is None:
-            return None
-        if not self._engage:  # it only asked whether it is flown
-            engaging.cancel()
-            return "it was not flown yet"
+        if flying or not self._engage or engaging is None:
+            if engaging is not None:
+                engaging.cancel()
+            return None if flying or self._engage else "it was not flown yet"  # it only asked whether it is flown
         ends = asyncio.get_running_loop().time() + STOP_WITHIN_S
         try:
             while asyncio.get_running_loop().time() < ends:
