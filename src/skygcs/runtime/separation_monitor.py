@@ -44,8 +44,8 @@ from skygcs.core.monitor.tracks import (
     Member,
     Place,
     Track,
+    arrives,
     is_flying,
-    leads,
     way_to,
 )
 from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped
@@ -528,7 +528,10 @@ class SeparationMonitor:
         circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
         east, north, up = position["vel_enu_mps"]
         velocity = (east, north, up) if is_flying(vehicle, now) else REST
-        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
+        mover = Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
+        before = self._destination(vehicle.key)
+        way = REST if before is None else mover_frame(mover).from_geodetic(*before)
+        return replace(mover, stops_in_m=math.hypot(*way)) if arrives(velocity, way, brake_mps2) else mover
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
@@ -610,10 +613,9 @@ def _along(track: Track, frame: EnuFrame) -> Vector:
 
 
 def _turning(one: Track | Mover, here: Vector, velocity: Vector, to: Vector) -> tuple[Leg, ...]:
-    """The space in which it turns to this place; nothing if it is seen to fly there already."""
-    if not one.turns_m or leads(velocity, (to[0] - here[0], to[1] - here[1], to[2] - here[2])):
-        return ()
-    return turning(here, velocity, one.brake_mps2, to)
+    """The space in which it turns to this place; nothing if it is seen to arrive there already."""
+    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
+    return () if arrives(velocity, way, one.brake_mps2) else turning(here, velocity, one.turns_m, to)
 
 
 def _ahead(here_m: Vector, track: Track) -> list[Vector]:

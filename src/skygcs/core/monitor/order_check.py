@@ -92,11 +92,13 @@ class Mover:
     """True ENU."""
     brake_mps2: float = USUAL_BRAKE_MPS2
     """Its deceleration before it turns to another place."""
+    stops_in_m: float = math.inf
+    """How far ahead it comes to rest in any case, because it was sent there."""
 
     @property
     def turns_m(self) -> float:
         """How far it may come off its new way before it turns to that; 0 for what cannot stop: its circle counts."""
-        return 0.0 if self.circle_m else overshoot_m(self.velocity_mps, self.brake_mps2)
+        return 0.0 if self.circle_m else min(self.stops_in_m, overshoot_m(self.velocity_mps, self.brake_mps2))
 
 
 class Other(NamedTuple):
@@ -130,7 +132,7 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
     end = frame.from_geodetic(*to)
     way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
     if way is None and mover.turns_m:
-        turns = _through(turning_points(REST, mover.velocity_mps, mover.brake_mps2, end), HORIZON_S)
+        turns = _through(turning_points(REST, mover.velocity_mps, mover.turns_m, end), HORIZON_S)
         way = _before_it_turns(_conflict(mover, frame, turns, others, now))
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
@@ -174,7 +176,7 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
     straight = Way(mover.key, mover.name, mover.footprint, sloped((REST, end)))
     here, mine = replace(straight, legs=standing(REST)), straight
     if mover.turns_m:
-        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.brake_mps2, end))
+        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.turns_m, end))
     worst: tuple[float, Way] | None = None
     for way in ways:
         if not too_near(mine, way):
@@ -190,24 +192,29 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
     return text if too_near(straight, worst[1]) else _before_it_turns(text)
 
 
-def turning_points(here: Vector, velocity_mps: Vector, brake_mps2: float, to: Vector) -> tuple[Vector, ...]:
-    """The outermost way from here to a place, on which it first brakes and then turns; only here if it stands.
+def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
+    """The outermost way from here to a place, on which it first flies on by so much (`overshoot_m`) and then turns;
+    only here if it stands.
 
     It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
-    bows the way out by as much as it flies on (never beyond the place): the third of the points.
+    bows the way out by as much as it flies on (never beyond the place, nor farther ahead than it flies on or the place
+    is): the third of the points.
     """
-    on_m = overshoot_m(velocity_mps, brake_mps2)
     if on_m == 0.0:
         return (here,)
-    stops = _moved(here, velocity_mps, on_m / math.hypot(*velocity_mps))
-    away_m = math.dist(here, to)
+    speed_mps = math.hypot(*velocity_mps)
+    stops = _moved(here, velocity_mps, on_m / speed_mps)
+    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
+    away_m = math.hypot(*way)
     share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
-    return here, stops, _moved(stops, (to[0] - here[0], to[1] - here[1], to[2] - here[2]), share), to
+    ahead_m = sum(p * v for p, v in zip(way, velocity_mps, strict=True)) / speed_mps
+    too_far_m = max(0.0, on_m + share * ahead_m - max(on_m, ahead_m))
+    return here, stops, _moved(_moved(stops, way, share), velocity_mps, -too_far_m / speed_mps), to
 
 
-def turning(here: Vector, velocity_mps: Vector, brake_mps2: float, to: Vector) -> tuple[Leg, ...]:
+def turning(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Leg, ...]:
     """`turning_points` as space, to be added to a straight way; nothing if it stands."""
-    points = turning_points(here, velocity_mps, brake_mps2, to)
+    points = turning_points(here, velocity_mps, on_m, to)
     return sloped(points) if len(points) > 1 else ()
 
 

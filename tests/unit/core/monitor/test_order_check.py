@@ -313,6 +313,13 @@ def test_a_setpoint_is_compared_with_each_other(to: Vector | None, velocity: Vec
         (mover((0.0, 0.55, 0.0)), (40.0, 0.0, 0.0), (0.0, 2.6, 0.0), True),
         (mover(FAST, 50.0), (200.0, 0.0, 0.0), (4.0, ON_M, 0.0), False),  # it cannot stop: its circle counts
         (replace(mover(FAST), brake_mps2=1.0), (40.0, 0.0, 0.0), (4.0, 17.3, 0.0), True),
+        # ahead: no farther than it flies on, or than the place is
+        (mover(FAST), (0.5, 12.0, 0.0), (0.0, 14.7, 0.0), False),
+        (mover(FAST), (0.0, 4.0, 0.0), (0.0, ON_M + 2.4, 0.0), True),
+        (mover(FAST), (0.0, 4.0, 0.0), (0.0, ON_M + 2.6, 0.0), False),
+        # it was to stop there anyway
+        (replace(mover(FAST), stops_in_m=4.0), (0.0, 4.0, 0.0), (0.0, 6.6, 0.0), False),
+        (replace(mover(FAST), stops_in_m=4.0), (0.0, 3.0, 0.0), (0.0, 6.4, 0.0), True),
         (mover(), (40.0, 0.0, 0.0), (4.0, 2.6, 0.0), False),
     ],
 )
@@ -326,9 +333,9 @@ def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector
 
 def test_it_turns_alike_wherever_it_is() -> None:
     here, to = (5.0, -7.0, 3.0), (45.0, 4.0, -6.0)
-    moved = turning_points((0.0, 0.0, 0.0), FAST, 2.0, (40.0, 11.0, -9.0))
-    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 2.0, to) == (here,)
-    for point, other_point in zip(turning_points(here, FAST, 2.0, to), moved, strict=True):
+    moved = turning_points((0.0, 0.0, 0.0), FAST, ON_M, (40.0, 11.0, -9.0))
+    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 0.0, to) == (here,)
+    for point, other_point in zip(turning_points(here, FAST, ON_M, to), moved, strict=True):
         assert point == pytest.approx([p + q for p, q in zip(other_point, here, strict=True)])
 
 
