@@ -45,11 +45,23 @@ from skygcs.core.monitor.approach import (
     closest_on_paths,
 )
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, scaled_pieces
-from skygcs.core.monitor.tracks import TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
-from skygcs.core.monitor.ways import Leg, Way, along, conflict_text, distance_m, needed_m, sloped, standing, too_near
+from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
+from skygcs.core.monitor.ways import (
+    LEGS_A_PART,
+    Leg,
+    Way,
+    along,
+    are_apart,
+    conflict_text,
+    distance_m,
+    needed_m,
+    sloped,
+    standing,
+    too_near,
+)
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 
 # --- orders -----------------------------------------------------------------------------------------------------------
@@ -327,6 +339,9 @@ def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s:
 STEP_S = 0.25
 """A curve of 3 m/s² bows by 0.02 m out of its chord."""
 
+MOST_POINTS = 1200
+"""Points of the way of a trajectory: ten minutes of it bow by 0.1 m between two, as `PLAN_STEP_S` does."""
+
 LOOKS_A_TURN = 20
 """Places compared before other tasks of the loop may get their turn: 0.2 ms."""
 
@@ -414,6 +429,48 @@ def of_track(track: Track, frame: EnuFrame, now: float) -> Course:
         ball_m=ball_m,
         known_s=HORIZON_S,
     )
+
+
+class TrajectorySpace:
+    """The way of one vehicle on its trajectory, from end to end: made once, and then looked at from where it is on."""
+
+    def __init__(self, flight: TrajectoryFlight, frame: EnuFrame) -> None:
+        """``frame``: the vehicle's local one."""
+        self.flight, self.frame = flight, frame
+        steps = max(1, min(MOST_POINTS, math.ceil(flight.duration_s / PLAN_STEP_S)))
+        self._step_s = flight.duration_s / steps
+        self._points = [ecef(*frame.to_geodetic(*flight.place(n * self._step_s))) for n in range(steps + 1)]
+        self._corners = [_corners(self._points[n : n + LEGS_A_PART + 1]) for n in range(0, steps, LEGS_A_PART)]
+        peaks, long = flight.loaded.peaks, self._step_s > PLAN_STEP_S
+        bent_m = peaks.acceleration_mps2.at_most * self._step_s * self._step_s / 8.0
+        self.bow_m = min(bent_m, peaks.speed_mps.at_most * self._step_s / 2.0) if long else 0.0
+        """How far it may be from the chords of a long one."""
+
+    def left(self, now: float) -> list[Vector]:
+        """What is left of it, earth-centred; empty: it stands, or has ended."""
+        return [] if (first := self._first(now)) is None else self._points[first:]
+
+    def left_near(self, ends: tuple[Vector, Vector], need_m: float, now: float) -> list[list[Vector]]:
+        """The same, only its parts that may come so near a straight line, all earth-centred."""
+        if (first := self._first(now)) is None:
+            return []
+        need, parts = (need_m, need_m, need_m), list[list[Vector]]()
+        for n in range(first // LEGS_A_PART, len(self._corners)):
+            if not are_apart(ends, self._corners[n], need):
+                begin = n * LEGS_A_PART
+                parts.append(self._points[max(first, begin) : begin + LEGS_A_PART + 1])
+        return parts
+
+    def _first(self, now: float) -> int | None:
+        finishes_at_s = self.flight.clock.finishes_at_s(now)
+        if finishes_at_s is None or finishes_at_s <= now:
+            return None
+        return min(int(self.flight.clock.at(now).trajectory_s / self._step_s), len(self._points) - 2)
+
+
+def _corners(points: Sequence[Vector]) -> tuple[Vector, Vector]:
+    (a, b, c), (d, e, f) = ([pick(p[axis] for p in points) for axis in range(3)] for pick in (min, max))
+    return (a, b, c), (d, e, f)
 
 
 def _moved(place: Vector, velocity: Vector, for_s: float) -> Vector:

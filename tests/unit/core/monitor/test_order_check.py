@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.geo import ecef
+from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.monitor import order_check
-from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.order_check import (
     Course,
     Mover,
     Other,
+    TrajectorySpace,
     bow_m,
     find_conflicts,
     goto_conflict,
@@ -27,13 +28,13 @@ from skygcs.core.monitor.order_check import (
     turning_points,
 )
 from skygcs.core.monitor.tracks import Place, Track
-from skygcs.core.monitor.ways import Way, sloped, standing
+from skygcs.core.monitor.ways import Way, distance_m, sloped, standing
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
-from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight, common_clock
 from support.examples import seeds
 from support.table import each
-from support.watched_fleet import WatchedVehicle
+from support.watched_fleet import ORIGIN, WatchedVehicle
 
 MARGIN = pair_margin(Footprint(), Footprint())
 NEED_M = MARGIN.total_m
@@ -405,3 +406,23 @@ def test_a_curve_stays_within_its_bow_of_each_chord(seed: int) -> None:
             chord = [p + share * (q - p) for p, q in zip(a, b, strict=True)]
             worst = max(worst, math.dist(place(begin + 0.25 * share), chord))
     assert 0.02 * bow < worst <= bow
+
+
+@each("rounds", [3, 300])
+def test_the_space_of_a_trajectory_holds_all_that_is_left_of_it(rounds: int) -> None:
+    """There and back, 10 m east in 3 s; of 300 rounds the points are farther apart in time."""
+    there = [Piece(3.0, (0.0, 0.0, 10.0 / 3.0, -20.0 / 27.0), (0.0,), (20.0,))]
+    back = [Piece(3.0, (10.0, 0.0, -10.0 / 3.0, 20.0 / 27.0), (0.0,), (20.0,))]
+    loaded = LoadedTrajectory(Trajectory((there + back) * rounds))
+    clock = common_clock([loaded], 1.0, 1.0)
+    frame = EnuFrame(ORIGIN)
+    space = TrajectorySpace(TrajectoryFlight(loaded, clock, ORIGIN, frame), frame)
+    assert space.left(0.0) == [] and space.left_near((REST, REST), 1e9, 0.0) == [], "it has not begun"
+    clock.start(0.0, 0.0)
+    way = Way(1, "v1", Footprint(), sloped([frame.from_ecef(point) for point in space.left(0.0)]))
+    for n in range(200):
+        place = loaded.trajectory.at(6.0 * rounds * n / 200).pos_enu_m
+        assert distance_m(way, replace(way, legs=standing(place))) <= space.bow_m + 0.01
+    ends = ecef(*frame.to_geodetic(5.0, -9.0, 20.0)), ecef(*frame.to_geodetic(5.0, -3.0, 20.0))
+    assert space.left_near(ends, 3.1, 0.0) and not space.left_near(ends, 1.0, 0.0)
+    assert len(space.left(6.0 * rounds - 0.01)) == 2 and space.left(6.0 * rounds) == []
