@@ -49,7 +49,7 @@ from skygcs.core.monitor.tracks import (
     is_flying,
     way_to,
 )
-from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped
+from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped, standing
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -523,6 +523,7 @@ class SeparationMonitor:
             for leg in sloped([frame.from_ecef(point) for point in part])
         )
         if legs:
+            legs = (*standing(frame.from_ecef(track.ecef_m)), *legs)
             yield Way(track.key, track.name, track.footprint, legs, ball_m, "on its trajectory")
 
     def _ball_m(self, track: Track) -> float:

@@ -194,7 +194,11 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
         if not too_near(mine, way):
             continue
         near_m = distance_m(mine, way)
-        if not strict and too_near(here, way) and near_m > distance_m(here, way) - NEARER_M:
+        if (
+            not strict
+            and _comes_no_nearer(here, mine, way)
+            and _comes_no_nearer(here, mine, _begin(way), or_clear=True)
+        ):
             continue
         if worst is None or near_m < worst[0]:
             worst = near_m, way
@@ -202,6 +206,19 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
         return None
     text = conflict_text(mine, worst[1], worst[0])
     return text if too_near(straight, worst[1]) else _before_it_turns(text)
+
+
+def _comes_no_nearer(here: Way, mine: Way, other: Way, *, or_clear: bool = False) -> bool:
+    """True if it is too near already, and its way does not come nearer; ``or_clear``: or that way keeps clear."""
+    if or_clear and not too_near(mine, other):
+        return True
+    return too_near(here, other) and distance_m(mine, other) > distance_m(here, other) - NEARER_M
+
+
+def _begin(way: Way) -> Way:
+    """Where the vehicle of a way is now."""
+    first = way.legs[0]
+    return replace(way, legs=(first._replace(end=first.begin),))
 
 
 def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
@@ -527,9 +544,12 @@ def _nearest(
         if near_m - bow < least_m:
             least_m, least_s = max(0.0, near_m - bow), t + at_s
         here, t = there, t + step_s
-    if least_m >= need_m or (begun_m < need_m and least_m > begun_m - NEARER_M):
+    if least_m >= need_m:
         return None
-    return least_m, least_s, need_m
+    if begun_m >= need_m or least_m <= begun_m - NEARER_M:
+        return least_m, least_s, need_m
+    # it may leave the way of another, but not to where that one is
+    return (yield from _nearest(a, _begin(b), end_s, count)) if isinstance(b, Way) and b != _begin(b) else None
 
 
 class _TwoCourses:

@@ -154,7 +154,10 @@ def test_three_jumps_of_the_velocity_may_bow_one_chord() -> None:
     )
 
 
-@each(("velocity", "found"), [((0.0, -1.0, 0.0), False), ((0.0, 1.0, 0.0), True)])
+@each(
+    ("velocity", "found"),
+    [((0.0, -1.0, 0.0), False), ((0.0, 1.0, 0.0), True), ((-0.85, 0.0, 0.0), True), ((0.85, 0.0, 0.0), False)],
+)
 def test_one_too_near_a_way_may_leave_it(velocity: tuple[float, float, float], found: bool) -> None:
     beside = Way(2, "v2", Footprint(), sloped([(-50.0, 2.0, 20.0), (50.0, 2.0, 20.0)]))
     assert bool(conflicts(straight(1, (0.0, 0.0, 20.0), velocity), beside, end_s=60.0)) is found
@@ -354,6 +357,10 @@ def test_it_turns_alike_wherever_it_is() -> None:
         ((-40.0, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], True, "v1 would come 2.0 m near v2"),
         ((0.25, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, "v1 would come 1.8 m near v2"),
         ((0.15, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, None),
+        # along it: away from where the other one is, and to there
+        ((0.0, -20.0, 0.0), [(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)], False, None),
+        ((0.0, 20.0, 0.0), [(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)], False, None),
+        ((0.0, 29.0, 0.0), [(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)], False, "v1 would come 0.0 m near v2"),
         ((40.0, 0.0, 40.0), [(20.0, 0.0, 16.0), (20.0, 50.0, 16.0)], False, "near v2"),  # it climbs with its way
         ((40.0, 0.0, 40.0), [(20.0, 0.0, 10.0), (20.0, 50.0, 10.0)], False, None),
     ],
