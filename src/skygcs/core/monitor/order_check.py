@@ -464,7 +464,7 @@ class TrajectorySpace:
         """How far it may be from the chords of a long one."""
 
     def left(self, now: float) -> list[Vector]:
-        """What is left of it, earth-centred; empty: it stands, or has ended."""
+        """The rest of it, earth-centred; empty: it stands, or has ended."""
         return [] if (first := self._first(now)) is None else self._points[first:]
 
     def left_near(self, ends: tuple[Vector, Vector], need_m: float, now: float) -> list[list[Vector]]:

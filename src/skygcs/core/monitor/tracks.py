@@ -63,7 +63,7 @@ REACTS_S = 0.5
 it, and PX4's jerk (MPC_JERK_AUTO, 4 m/s³, takes 0.5 s to 2 m/s²)."""
 
 HARDEST = 1.5
-"""What flies to a place brakes before it by at most so many times `brake_mps2`: ArduCopter by 2.5, PX4 by 3 m/s²."""
+"""A vehicle brakes before its place by at most so many times `brake_mps2`: ArduCopter by 2.5, PX4 by 3 m/s²."""
 
 ARC_S = 10.0
 """An arc is drawn as far as the monitor looks ahead."""
