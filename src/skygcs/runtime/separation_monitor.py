@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
 from skygcs.config.separation import MonitorConfig
-from skygcs.core.geo import EnuFrame, world_from_enu
+from skygcs.core.geo import EnuFrame, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
@@ -25,6 +25,7 @@ from skygcs.core.monitor.order_check import (
     Course,
     Mover,
     Other,
+    TrajectorySpace,
     climb_out_end,
     find_conflicts,
     goto_conflict,
@@ -44,11 +45,11 @@ from skygcs.core.monitor.tracks import (
     Member,
     Place,
     Track,
+    arrives,
     is_flying,
-    leads,
     way_to,
 )
-from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped
+from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped, standing
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -72,10 +73,6 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
-
-MOST_POINTS = 120
-"""Points of the way that a vehicle has still to fly on its trajectory: a minute of it bows by 0.1 m between two, as
-`PLAN_STEP_S` does."""
 
 TURN_S = 0.0005
 """CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
@@ -122,6 +119,7 @@ class SeparationMonitor:
         self._destinations: dict[int, Destination] = {}
         self._serials = itertools.count()
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
+        self._spaces: dict[int, TrajectorySpace] = {}
 
     # -- the watch
 
@@ -161,9 +159,11 @@ class SeparationMonitor:
     def _members(self) -> Iterator[Member]:
         for key, actor in list(self._actors.items()):
             footprint, priority = self._settings(key, actor)
+            self._space(actor)  # so that no order has to wait until those of a fleet are made
             yield Member(actor.vehicle, footprint, priority, self._destination(key), self._trajectory(actor))
-        for key in self._footprints.keys() - self._actors.keys():
-            del self._footprints[key]
+        for table in (self._footprints, self._spaces):
+            for key in table.keys() - self._actors.keys():
+                del table[key]
 
     def _trajectory(self, actor: VehicleActor) -> list[Place]:
         """Where it will be if it follows its trajectory, or the program that flies it; empty: it follows none, or that
@@ -178,16 +178,16 @@ class SeparationMonitor:
         steps = round(HORIZON_S / PLAN_STEP_S)
         return [frame.to_geodetic(*point) for point in flight.ahead(now, PLAN_STEP_S, steps)]
 
-    def _rest_of_trajectory(self, actor: VehicleActor) -> list[Place]:
-        """Where it will be until the end of the trajectory that it follows: `MOST_POINTS` at most; empty: it follows
-        none, or that stands."""
-        flight, frame = actor.offboard.controller.flight, actor.offboard.controller.frame
-        now = self._loop.time()
-        left_s = 0.0 if flight is None else _left_s(flight.clock, now)
-        if flight is None or frame is None or left_s == 0.0:
-            return []
-        steps = min(MOST_POINTS, math.ceil(left_s / PLAN_STEP_S))
-        return [frame.to_geodetic(*flight.foreseen(now + left_s * n / steps)) for n in range(steps + 1)]
+    def _space(self, actor: VehicleActor) -> TrajectorySpace | None:
+        """The way of the trajectory that it follows; None: it follows none."""
+        key, controller = actor.vehicle.key, actor.offboard.controller
+        flight, frame, known = controller.flight, controller.frame, self._spaces.get(key)
+        if flight is None or frame is None:
+            self._spaces.pop(key, None)
+            return None
+        if known is None or known.flight is not flight or known.frame is not frame:
+            known = self._spaces[key] = TrajectorySpace(flight, frame)
+        return known
 
     def _settings(self, key: int, actor: VehicleActor) -> tuple[Footprint, int]:
         known = self._footprints.get(key)
@@ -435,16 +435,17 @@ class SeparationMonitor:
         destination = self._destination(track.key)
         holds = holding_disc(Other(track, destination), frame)
         points = [frame.from_ecef(track.ecef_m), holds.middle_m]
-        doing = _doing(track, "in the air")
+        doing, bow_m = _doing(track, "in the air"), 0.0
         if destination is None and not track.parked and not track.lost:
-            if planned := self._rest_of_trajectory(actor):
-                doing = "on its trajectory"
+            space = self._space(actor)
+            if space is not None and (left := space.left(self._loop.time())):
+                doing, bow_m = "on its trajectory", space.bow_m
+                points += [frame.from_ecef(point) for point in left]
             elif ahead:
                 planned = self._trajectory(actor)
-            points += [frame.from_geodetic(*place) for place in planned]
-            points += _ahead(points[0], track) if ahead and not planned else []
+                points += [frame.from_geodetic(*place) for place in planned] or _ahead(points[0], track)
         turns = () if destination is None else _turning(track, points[0], _along(track, frame), points[-1])
-        ball_m = self._ball_m(track) + holds.radius_m
+        ball_m = self._ball_m(track) + holds.radius_m + bow_m
         return Way(track.key, track.name, self.footprint(actor), sloped(points) + turns, ball_m, doing)
 
     def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
@@ -493,9 +494,8 @@ class SeparationMonitor:
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
             place = self._goes_to(actor, track)
-            if place is None and not track.parked and self._rest_of_trajectory(actor):
-                yield self._way_left(actor, track, frame)
             if place is None:
+                yield from self._trajectory_way(actor, track, mover, to)
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
             comes = self._comes_home(actor, track) is not None
@@ -506,6 +506,25 @@ class SeparationMonitor:
             way = self._way_left(actor, track, frame)
             # its circle is compared at its end
             yield way if comes else replace(way, ball_m=ball_m)
+
+    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> Iterator[Way]:
+        """The way that a vehicle has still to fly on its trajectory, if it follows one, as far as it may be near a way
+        to that place."""
+        space = None if track.parked or track.lost else self._space(actor)
+        if space is None:
+            return
+        frame, margin = mover_frame(mover), pair_margin(mover.footprint, track.footprint)
+        ball_m = self._ball_m(track) + space.bow_m
+        need_m = (margin.total_m + ball_m) * max(1.0, margin.downwash_ratio) + mover.turns_m
+        ends = ecef(*mover.here), ecef(*to)
+        legs = tuple(
+            leg
+            for part in space.left_near(ends, need_m, self._loop.time())
+            for leg in sloped([frame.from_ecef(point) for point in part])
+        )
+        if legs:
+            legs = (*standing(frame.from_ecef(track.ecef_m)), *legs)
+            yield Way(track.key, track.name, track.footprint, legs, ball_m, "on its trajectory")
 
     def _ball_m(self, track: Track) -> float:
         """How far it may be from where it was seen last."""
@@ -528,7 +547,10 @@ class SeparationMonitor:
         circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
         east, north, up = position["vel_enu_mps"]
         velocity = (east, north, up) if is_flying(vehicle, now) else REST
-        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
+        mover = Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
+        before = self._destination(vehicle.key)
+        way = REST if before is None else mover_frame(mover).from_geodetic(*before)
+        return replace(mover, stops_in_m=math.hypot(*way)) if arrives(velocity, way, brake_mps2) else mover
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
@@ -610,10 +632,9 @@ def _along(track: Track, frame: EnuFrame) -> Vector:
 
 
 def _turning(one: Track | Mover, here: Vector, velocity: Vector, to: Vector) -> tuple[Leg, ...]:
-    """The space in which it turns to this place; nothing if it is seen to fly there already."""
-    if not one.turns_m or leads(velocity, (to[0] - here[0], to[1] - here[1], to[2] - here[2])):
-        return ()
-    return turning(here, velocity, one.brake_mps2, to)
+    """The space in which it turns to this place; nothing if it is seen to arrive there already."""
+    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
+    return () if arrives(velocity, way, one.brake_mps2) else turning(here, velocity, one.turns_m, to)
 
 
 def _ahead(here_m: Vector, track: Track) -> list[Vector]:

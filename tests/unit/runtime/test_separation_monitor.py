@@ -198,6 +198,25 @@ async def test_a_plane_that_circles_where_it_was_sent_counts_there_alone() -> No
     sky.fleet.close()
 
 
+@pytest.mark.parametrize(("east_mps", "refused"), [(3.0, False), (5.0, True)])
+async def test_a_goto_that_is_given_again_counts_no_turn_beyond_where_it_stops_anyway(
+    east_mps: float, refused: bool
+) -> None:
+    """1.5 m before its place, 3 m before another vehicle: with 3 m/s it brakes, with 5 m/s it cannot have begun to."""
+    sky = Sky(2)
+    frame, place = EnuFrame(ORIGIN), (1.6, 0.0, 20.0)
+    now, (one, other) = sky.loop.time(), sky.vehicles
+    for vehicle, at, velocity in ((one, (0.0, 0.0, 20.0), (east_mps, 0.0, 0.0)), (other, (4.6, 0.0, 20.0), (0.0,) * 3)):
+        vehicle.heartbeat(now)
+        vehicle.position(now, at, velocity)
+    await sky.monitor.evaluate()
+    actor, to = sky.fleet.vehicles[one.vehicle.key], frame.to_geodetic(*place)
+    assert sky.monitor.goto_refusal(actor.vehicle, to, frozenset()) is not None, "nobody knows where it flies"
+    sky.monitor.arriving(actor, sky.monitor.sent_to(actor, to), ok=True)
+    assert (sky.monitor.goto_refusal(actor.vehicle, to, frozenset()) is not None) is refused
+    sky.fleet.close()
+
+
 @pytest.mark.parametrize(("beside_m", "meets"), [(60.0, True), (100.0, False)])
 async def test_the_mission_of_a_quadplane_circles_though_it_stands_in_a_mode_of_its_rotors(
     beside_m: float, meets: bool

@@ -45,11 +45,24 @@ from skygcs.core.monitor.approach import (
     closest_on_paths,
 )
 from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, scaled_pieces
-from skygcs.core.monitor.tracks import TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
-from skygcs.core.monitor.ways import Leg, Way, along, conflict_text, distance_m, needed_m, sloped, standing, too_near
+from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
+from skygcs.core.monitor.ways import (
+    LEGS_A_PART,
+    Leg,
+    Way,
+    along,
+    are_apart,
+    conflict_text,
+    distance_m,
+    needed_m,
+    shown_m,
+    sloped,
+    standing,
+    too_near,
+)
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
-from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 
 # --- orders -----------------------------------------------------------------------------------------------------------
@@ -92,11 +105,13 @@ class Mover:
     """True ENU."""
     brake_mps2: float = USUAL_BRAKE_MPS2
     """Its deceleration before it turns to another place."""
+    stops_in_m: float = math.inf
+    """How far ahead it comes to rest in any case, because it was sent there."""
 
     @property
     def turns_m(self) -> float:
         """How far it may come off its new way before it turns to that; 0 for what cannot stop: its circle counts."""
-        return 0.0 if self.circle_m else overshoot_m(self.velocity_mps, self.brake_mps2)
+        return 0.0 if self.circle_m else min(self.stops_in_m, overshoot_m(self.velocity_mps, self.brake_mps2))
 
 
 class Other(NamedTuple):
@@ -130,7 +145,7 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
     end = frame.from_geodetic(*to)
     way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
     if way is None and mover.turns_m:
-        turns = _through(turning_points(REST, mover.velocity_mps, mover.brake_mps2, end), HORIZON_S)
+        turns = _through(turning_points(REST, mover.velocity_mps, mover.turns_m, end), HORIZON_S)
         way = _before_it_turns(_conflict(mover, frame, turns, others, now))
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
@@ -174,13 +189,17 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
     straight = Way(mover.key, mover.name, mover.footprint, sloped((REST, end)))
     here, mine = replace(straight, legs=standing(REST)), straight
     if mover.turns_m:
-        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.brake_mps2, end))
+        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.turns_m, end))
     worst: tuple[float, Way] | None = None
     for way in ways:
         if not too_near(mine, way):
             continue
         near_m = distance_m(mine, way)
-        if not strict and too_near(here, way) and near_m > distance_m(here, way) - NEARER_M:
+        if (
+            not strict
+            and _comes_no_nearer(here, mine, way)
+            and _comes_no_nearer(here, mine, _begin(way), or_clear=True)
+        ):
             continue
         if worst is None or near_m < worst[0]:
             worst = near_m, way
@@ -190,24 +209,42 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
     return text if too_near(straight, worst[1]) else _before_it_turns(text)
 
 
-def turning_points(here: Vector, velocity_mps: Vector, brake_mps2: float, to: Vector) -> tuple[Vector, ...]:
-    """The outermost way from here to a place, on which it first brakes and then turns; only here if it stands.
+def _comes_no_nearer(here: Way, mine: Way, other: Way, *, or_clear: bool = False) -> bool:
+    """True if it is too near already, and its way does not come nearer; ``or_clear``: or that way keeps clear."""
+    if or_clear and not too_near(mine, other):
+        return True
+    return too_near(here, other) and distance_m(mine, other) > distance_m(here, other) - NEARER_M
+
+
+def _begin(way: Way) -> Way:
+    """Where the vehicle of a way is now."""
+    first = way.legs[0]
+    return replace(way, legs=(first._replace(end=first.begin),))
+
+
+def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
+    """The outermost way from here to a place, on which it first flies on by so much (`overshoot_m`) and then turns;
+    only here if it stands.
 
     It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
-    bows the way out by as much as it flies on (never beyond the place): the third of the points.
+    bows the way out by as much as it flies on (never beyond the place, nor farther ahead than it flies on or the place
+    is): the third of the points.
     """
-    on_m = overshoot_m(velocity_mps, brake_mps2)
     if on_m == 0.0:
         return (here,)
-    stops = _moved(here, velocity_mps, on_m / math.hypot(*velocity_mps))
-    away_m = math.dist(here, to)
+    speed_mps = math.hypot(*velocity_mps)
+    stops = _moved(here, velocity_mps, on_m / speed_mps)
+    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
+    away_m = math.hypot(*way)
     share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
-    return here, stops, _moved(stops, (to[0] - here[0], to[1] - here[1], to[2] - here[2]), share), to
+    ahead_m = sum(p * v for p, v in zip(way, velocity_mps, strict=True)) / speed_mps
+    too_far_m = max(0.0, on_m + share * ahead_m - max(on_m, ahead_m))
+    return here, stops, _moved(_moved(stops, way, share), velocity_mps, -too_far_m / speed_mps), to
 
 
-def turning(here: Vector, velocity_mps: Vector, brake_mps2: float, to: Vector) -> tuple[Leg, ...]:
+def turning(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Leg, ...]:
     """`turning_points` as space, to be added to a straight way; nothing if it stands."""
-    points = turning_points(here, velocity_mps, brake_mps2, to)
+    points = turning_points(here, velocity_mps, on_m, to)
     return sloped(points) if len(points) > 1 else ()
 
 
@@ -308,8 +345,9 @@ def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s:
     if other.stays_yet:
         where += ", and not seen yet to fly where it was sent"
     old = f", whose position is {age_s:.1f} s old" if age_s > OLD_S else ""
+    near, needed = shown_m(separation, radius_m)
     return (
-        f"{mover.name} would come {separation:.1f} m near {track.name} ({where}){old}; they need {radius_m:.1f} m, "
+        f"{mover.name} would come {near} m near {track.name} ({where}){old}; they need {needed} m, "
         f"heights divided by {ratio:g}" + (FORGET.format(name=track.name) if track.lost else "")
     )
 
@@ -319,6 +357,9 @@ def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s:
 
 STEP_S = 0.25
 """A curve of 3 m/s² bows by 0.02 m out of its chord."""
+
+MOST_POINTS = 1200
+"""Points of the way of a trajectory: ten minutes of it bow by 0.1 m between two, as `PLAN_STEP_S` does."""
 
 LOOKS_A_TURN = 20
 """Places compared before other tasks of the loop may get their turn: 0.2 ms."""
@@ -409,6 +450,48 @@ def of_track(track: Track, frame: EnuFrame, now: float) -> Course:
     )
 
 
+class TrajectorySpace:
+    """The way of one vehicle on its trajectory, from end to end: made once, and then looked at from where it is on."""
+
+    def __init__(self, flight: TrajectoryFlight, frame: EnuFrame) -> None:
+        """``frame``: the vehicle's local one."""
+        self.flight, self.frame = flight, frame
+        steps = max(1, min(MOST_POINTS, math.ceil(flight.duration_s / PLAN_STEP_S)))
+        self._step_s = flight.duration_s / steps
+        self._points = [ecef(*frame.to_geodetic(*flight.place(n * self._step_s))) for n in range(steps + 1)]
+        self._corners = [_corners(self._points[n : n + LEGS_A_PART + 1]) for n in range(0, steps, LEGS_A_PART)]
+        peaks, long = flight.loaded.peaks, self._step_s > PLAN_STEP_S
+        bent_m = peaks.acceleration_mps2.at_most * self._step_s * self._step_s / 8.0
+        self.bow_m = min(bent_m, peaks.speed_mps.at_most * self._step_s / 2.0) if long else 0.0
+        """How far it may be from the chords of a long one."""
+
+    def left(self, now: float) -> list[Vector]:
+        """The rest of it, earth-centred; empty: it stands, or has ended."""
+        return [] if (first := self._first(now)) is None else self._points[first:]
+
+    def left_near(self, ends: tuple[Vector, Vector], need_m: float, now: float) -> list[list[Vector]]:
+        """The same, only its parts that may come so near a straight line, all earth-centred."""
+        if (first := self._first(now)) is None:
+            return []
+        need, parts = (need_m, need_m, need_m), list[list[Vector]]()
+        for n in range(first // LEGS_A_PART, len(self._corners)):
+            if not are_apart(ends, self._corners[n], need):
+                begin = n * LEGS_A_PART
+                parts.append(self._points[max(first, begin) : begin + LEGS_A_PART + 1])
+        return parts
+
+    def _first(self, now: float) -> int | None:
+        finishes_at_s = self.flight.clock.finishes_at_s(now)
+        if finishes_at_s is None or finishes_at_s <= now:
+            return None
+        return min(int(self.flight.clock.at(now).trajectory_s / self._step_s), len(self._points) - 2)
+
+
+def _corners(points: Sequence[Vector]) -> tuple[Vector, Vector]:
+    (a, b, c), (d, e, f) = ([pick(p[axis] for p in points) for axis in range(3)] for pick in (min, max))
+    return (a, b, c), (d, e, f)
+
+
 def _moved(place: Vector, velocity: Vector, for_s: float) -> Vector:
     return place[0] + velocity[0] * for_s, place[1] + velocity[1] * for_s, place[2] + velocity[2] * for_s
 
@@ -427,9 +510,10 @@ def find_conflicts(
             if near is not None and near[0] < worst_m:
                 worst_m, at_s, need_m = near
                 ratio = pair_margin(mover.footprint, other.footprint).downwash_ratio
+                shown, needed = shown_m(worst_m, need_m)
                 found[mover.key] = (
-                    f"{mover.name} would come {worst_m:.1f} m near {other.name} ({other.doing}) in {at_s:.1f} s; "
-                    f"they need {need_m:.1f} m, heights divided by {ratio:g}"
+                    f"{mover.name} would come {shown} m near {other.name} ({other.doing}) in {at_s:.1f} s; "
+                    f"they need {needed} m, heights divided by {ratio:g}"
                 )
     if next(looks) > MAX_LOOKS:
         for mover in movers:
@@ -463,9 +547,12 @@ def _nearest(
         if near_m - bow < least_m:
             least_m, least_s = max(0.0, near_m - bow), t + at_s
         here, t = there, t + step_s
-    if least_m >= need_m or (begun_m < need_m and least_m > begun_m - NEARER_M):
+    if least_m >= need_m:
         return None
-    return least_m, least_s, need_m
+    if begun_m >= need_m or least_m <= begun_m - NEARER_M:
+        return least_m, least_s, need_m
+    # it may leave the way of another, but not to where that one is
+    return (yield from _nearest(a, _begin(b), end_s, count)) if isinstance(b, Way) and b != _begin(b) else None
 
 
 class _TwoCourses:

@@ -62,6 +62,9 @@ REACTS_S = 0.5
 """A vehicle flies on for so long before it brakes as its `brake_mps2` is: the age of its position, the order's way to
 it, and PX4's jerk (MPC_JERK_AUTO, 4 m/s³, takes 0.5 s to 2 m/s²)."""
 
+HARDEST = 1.5
+"""A vehicle brakes before its place by at most so many times `brake_mps2`: ArduCopter by 2.5, PX4 by 3 m/s²."""
+
 ARC_S = 10.0
 """An arc is drawn as far as the monitor looks ahead."""
 
@@ -268,6 +271,11 @@ def leads(velocity: Vector, way: Vector) -> bool:
     speed_mps, away_m = math.hypot(*velocity), math.hypot(*way)
     along = way[0] * velocity[0] + way[1] * velocity[1] + way[2] * velocity[2]
     return speed_mps >= LEAST_SPEED_MPS and away_m > 0.0 and along >= TOWARDS * away_m * speed_mps
+
+
+def arrives(velocity: Vector, way: Vector, brake_mps2: float) -> bool:
+    """True if it is seen to fly along a way, and so slowly that it can stop at the end of that."""
+    return leads(velocity, way) and math.hypot(*velocity) ** 2 <= 2.0 * HARDEST * brake_mps2 * math.hypot(*way)
 
 
 def overshoot_m(velocity_mps: Vector, brake_mps2: float) -> float:

@@ -184,10 +184,17 @@ def _nearest_m(a: Way, b: Way) -> Generator[None, None, float]:
 def conflict_text(way: Way, other: Way, near_m: float) -> str:
     """That one would come so near another, for people."""
     ratio = pair_margin(way.footprint, other.footprint).downwash_ratio
+    near, needed = shown_m(near_m, needed_m(way, other))
     return (
-        f"{way.name} would come {near_m:.1f} m near {other.name} ({other.doing}); they need "
-        f"{needed_m(way, other):.1f} m, heights divided by {ratio:g}"
+        f"{way.name} would come {near} m near {other.name} ({other.doing}); they need {needed} m, "
+        f"heights divided by {ratio:g}"
     )
+
+
+def shown_m(near_m: float, needed_m: float) -> tuple[str, str]:
+    """A distance that is too small, and what is needed, with as many decimals as tell them apart (2 at most)."""
+    decimals = 1 if f"{near_m:.1f}" != f"{needed_m:.1f}" else 2
+    return f"{near_m:.{decimals}f}", f"{needed_m:.{decimals}f}"
 
 
 def _legs_distance_m(p: Leg, q: Leg, ratio: float) -> float:

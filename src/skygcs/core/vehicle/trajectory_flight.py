@@ -151,11 +151,15 @@ class TrajectoryFlight:
         time = self.clock.at(now)
         last_s = self.duration_s
         at_s = (min(time.trajectory_s + i * step_s * time.rate, last_s) for i in range(steps + 1))
-        return [self._to_local(self.loaded.trajectory.at(s).pos_enu_m) for s in at_s]
+        return [self.place(s) for s in at_s]
 
     def foreseen(self, at: float) -> Vector:
         """Where it shall be at a later time if its clock gets no order until then."""
-        return self._to_local(self.loaded.trajectory.at(self.clock.foreseen_s(at)).pos_enu_m)
+        return self.place(self.clock.foreseen_s(at))
+
+    def place(self, trajectory_s: float) -> Vector:
+        """Where it shall be at a time of its trajectory."""
+        return self._to_local(self.loaded.trajectory.at(trajectory_s).pos_enu_m)
 
     def over(self, now: float) -> bool:
         """True if its clock has come to an end: it stands there from now on."""

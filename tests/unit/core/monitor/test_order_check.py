@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.geo import ecef
+from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.monitor import order_check
-from skygcs.core.monitor.approach import Vector
+from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.order_check import (
     Course,
     Mover,
     Other,
+    TrajectorySpace,
     bow_m,
     find_conflicts,
     goto_conflict,
@@ -27,13 +28,13 @@ from skygcs.core.monitor.order_check import (
     turning_points,
 )
 from skygcs.core.monitor.tracks import Place, Track
-from skygcs.core.monitor.ways import Way, sloped, standing
+from skygcs.core.monitor.ways import Way, distance_m, sloped, standing
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
-from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, common_clock
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight, common_clock
 from support.examples import seeds
 from support.table import each
-from support.watched_fleet import WatchedVehicle
+from support.watched_fleet import ORIGIN, WatchedVehicle
 
 MARGIN = pair_margin(Footprint(), Footprint())
 NEED_M = MARGIN.total_m
@@ -153,7 +154,10 @@ def test_three_jumps_of_the_velocity_may_bow_one_chord() -> None:
     )
 
 
-@each(("velocity", "found"), [((0.0, -1.0, 0.0), False), ((0.0, 1.0, 0.0), True)])
+@each(
+    ("velocity", "found"),
+    [((0.0, -1.0, 0.0), False), ((0.0, 1.0, 0.0), True), ((-0.85, 0.0, 0.0), True), ((0.85, 0.0, 0.0), False)],
+)
 def test_one_too_near_a_way_may_leave_it(velocity: tuple[float, float, float], found: bool) -> None:
     beside = Way(2, "v2", Footprint(), sloped([(-50.0, 2.0, 20.0), (50.0, 2.0, 20.0)]))
     assert bool(conflicts(straight(1, (0.0, 0.0, 20.0), velocity), beside, end_s=60.0)) is found
@@ -313,6 +317,13 @@ def test_a_setpoint_is_compared_with_each_other(to: Vector | None, velocity: Vec
         (mover((0.0, 0.55, 0.0)), (40.0, 0.0, 0.0), (0.0, 2.6, 0.0), True),
         (mover(FAST, 50.0), (200.0, 0.0, 0.0), (4.0, ON_M, 0.0), False),  # it cannot stop: its circle counts
         (replace(mover(FAST), brake_mps2=1.0), (40.0, 0.0, 0.0), (4.0, 17.3, 0.0), True),
+        # ahead: no farther than it flies on, or than the place is
+        (mover(FAST), (0.5, 12.0, 0.0), (0.0, 14.7, 0.0), False),
+        (mover(FAST), (0.0, 4.0, 0.0), (0.0, ON_M + 2.4, 0.0), True),
+        (mover(FAST), (0.0, 4.0, 0.0), (0.0, ON_M + 2.6, 0.0), False),
+        # it was to stop there anyway
+        (replace(mover(FAST), stops_in_m=4.0), (0.0, 4.0, 0.0), (0.0, 6.6, 0.0), False),
+        (replace(mover(FAST), stops_in_m=4.0), (0.0, 3.0, 0.0), (0.0, 6.4, 0.0), True),
         (mover(), (40.0, 0.0, 0.0), (4.0, 2.6, 0.0), False),
     ],
 )
@@ -326,9 +337,9 @@ def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector
 
 def test_it_turns_alike_wherever_it_is() -> None:
     here, to = (5.0, -7.0, 3.0), (45.0, 4.0, -6.0)
-    moved = turning_points((0.0, 0.0, 0.0), FAST, 2.0, (40.0, 11.0, -9.0))
-    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 2.0, to) == (here,)
-    for point, other_point in zip(turning_points(here, FAST, 2.0, to), moved, strict=True):
+    moved = turning_points((0.0, 0.0, 0.0), FAST, ON_M, (40.0, 11.0, -9.0))
+    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 0.0, to) == (here,)
+    for point, other_point in zip(turning_points(here, FAST, ON_M, to), moved, strict=True):
         assert point == pytest.approx([p + q for p, q in zip(other_point, here, strict=True)])
 
 
@@ -346,6 +357,10 @@ def test_it_turns_alike_wherever_it_is() -> None:
         ((-40.0, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], True, "v1 would come 2.0 m near v2"),
         ((0.25, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, "v1 would come 1.8 m near v2"),
         ((0.15, 0.0, 0.0), [(2.0, 0.0, 0.0), (50.0, 0.0, 0.0)], False, None),
+        # along it: away from where the other one is, and to there
+        ((0.0, -20.0, 0.0), [(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)], False, None),
+        ((0.0, 20.0, 0.0), [(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)], False, None),
+        ((0.0, 29.0, 0.0), [(0.0, 30.0, 0.0), (0.0, -30.0, 0.0)], False, "v1 would come 0.0 m near v2"),
         ((40.0, 0.0, 40.0), [(20.0, 0.0, 16.0), (20.0, 50.0, 16.0)], False, "near v2"),  # it climbs with its way
         ((40.0, 0.0, 40.0), [(20.0, 0.0, 10.0), (20.0, 50.0, 10.0)], False, None),
     ],
@@ -398,3 +413,23 @@ def test_a_curve_stays_within_its_bow_of_each_chord(seed: int) -> None:
             chord = [p + share * (q - p) for p, q in zip(a, b, strict=True)]
             worst = max(worst, math.dist(place(begin + 0.25 * share), chord))
     assert 0.02 * bow < worst <= bow
+
+
+@each("rounds", [3, 300])
+def test_the_space_of_a_trajectory_holds_all_that_is_left_of_it(rounds: int) -> None:
+    """There and back, 10 m east in 3 s; of 300 rounds the points are farther apart in time."""
+    there = [Piece(3.0, (0.0, 0.0, 10.0 / 3.0, -20.0 / 27.0), (0.0,), (20.0,))]
+    back = [Piece(3.0, (10.0, 0.0, -10.0 / 3.0, 20.0 / 27.0), (0.0,), (20.0,))]
+    loaded = LoadedTrajectory(Trajectory((there + back) * rounds))
+    clock = common_clock([loaded], 1.0, 1.0)
+    frame = EnuFrame(ORIGIN)
+    space = TrajectorySpace(TrajectoryFlight(loaded, clock, ORIGIN, frame), frame)
+    assert space.left(0.0) == [] and space.left_near((REST, REST), 1e9, 0.0) == [], "it has not begun"
+    clock.start(0.0, 0.0)
+    way = Way(1, "v1", Footprint(), sloped([frame.from_ecef(point) for point in space.left(0.0)]))
+    for n in range(200):
+        place = loaded.trajectory.at(6.0 * rounds * n / 200).pos_enu_m
+        assert distance_m(way, replace(way, legs=standing(place))) <= space.bow_m + 0.01
+    ends = ecef(*frame.to_geodetic(5.0, -9.0, 20.0)), ecef(*frame.to_geodetic(5.0, -3.0, 20.0))
+    assert space.left_near(ends, 3.1, 0.0) and not space.left_near(ends, 1.0, 0.0)
+    assert len(space.left(6.0 * rounds - 0.01)) == 2 and space.left(6.0 * rounds) == []
