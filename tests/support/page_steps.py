@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, WebSocketRoute, expect
 
 from support.browser import until
 
@@ -51,6 +53,45 @@ IN_TROUBLE = """() => {
         links: {}, position: at(-16, -4, { alt_rel_m: 0 }) });
 }"""
 """Five vehicles more: an empty battery, one that is deaf, a failsafe, one lost in the air, one silent on the ground."""
+
+
+class HeldAnswers:
+    """Keeps back the answers of a method whose parameters ``are`` those, from the next load of the page on."""
+
+    def __init__(self, page: Page, method: str, are: Callable[[dict[str, Any]], bool] = lambda params: True) -> None:
+        self._page, self._method, self._are = page, method, are
+        self._asked: set[int] = set()
+        self._answers: list[tuple[WebSocketRoute, str | bytes]] = []
+        page.route_web_socket(re.compile("/ws$"), self._between)
+
+    def wait(self) -> None:
+        """Until the next answer is here."""
+        while not self._answers:
+            self._page.wait_for_timeout(20)
+
+    def release(self) -> None:
+        """Let them go on to the page."""
+        while self._answers:
+            socket, answer = self._answers.pop(0)
+            socket.send(answer)
+
+    def _between(self, socket: WebSocketRoute) -> None:
+        server = socket.connect_to_server()
+
+        def to_server(message: str | bytes) -> None:
+            request = json.loads(message)
+            if request.get("method") == self._method and self._are(request["params"]):
+                self._asked.add(request["id"])
+            server.send(message)
+
+        def to_page(message: str | bytes) -> None:
+            if json.loads(message).get("id") in self._asked:
+                self._answers.append((socket, message))
+            else:
+                socket.send(message)
+
+        socket.on_message(to_server)
+        server.on_message(to_page)
 
 
 def select(page: Page, *names: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import WebSocketRoute, expect
 
 from support.browser import until
-from support.page_steps import VIEW, click_view, drop, fits, hold, select, side
+from support.page_steps import VIEW, HeldAnswers, click_view, drop, fits, hold, select, side
 
 WPL = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t43.7806\t-79.4653\t180\t1
@@ -62,6 +62,25 @@ def test_a_refused_mission_names_the_item_and_is_not_uploaded(station, open_page
     shot(page, "mission-refused")
     drop(page, "not-a-plan.plan", '{"fileType": "Song"}')
     expect(page.locator(".missionpanel .failure").first).to_contain_text("not-a-plan.plan")
+
+
+def test_a_check_that_ends_after_its_tab_was_left_offers_no_upload(station, open_page) -> None:
+    page = open_page(station)
+    held = HeldAnswers(page, "web.mission.check")
+    page.reload()
+    select(page, "v1")
+    side(page, "Missions")
+    drop(page, "survey.waypoints", WPL)
+    held.wait()
+    page.get_by_role("tab", name="Waypoints", exact=True).click()
+    held.release()
+    page.wait_for_timeout(300)
+    expect(page.get_by_role("region", name="Check of survey.waypoints")).to_have_count(0)
+    page.get_by_role("tab", name="File", exact=True).click()
+    held.wait()
+    held.release()
+    expect(page.get_by_role("region", name="Check of survey.waypoints")).to_contain_text("can be flown")
+    assert not page.errors
 
 
 def test_waypoints_are_drawn_moved_and_uploaded(station, open_page, shot) -> None:

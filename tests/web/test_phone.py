@@ -58,6 +58,19 @@ def test_table_orders_and_view_fit_and_are_large_enough(page: Page, shot: Shot) 
     assert page.errors == []  # type: ignore[attr-defined]
 
 
+ALARMS = """for (let i = 0; i < 120; i++) skygcs.store.dispatch({ type: "event", event: {
+    time_unix_s: Date.now() / 1000 + i, kind: "failsafe", vehicle: "v1", text: `${i}`, data: { failsafe: true } } })"""
+
+
+def test_the_number_of_alarms_is_seen_beside_stop(page: Page, shot: Shot) -> None:
+    page.evaluate(ALARMS)
+    badge = page.locator(".pages .badge")
+    expect(badge).to_have_text("99+")
+    room, box = page.locator(".pages").bounding_box(), badge.bounding_box()
+    assert room is not None and box is not None and box["x"] + box["width"] <= room["x"] + room["width"]
+    shot(page, "phone-alarms")
+
+
 CLEAR = """() => {
     const { view, store } = skygcs, c = view.camera, canvas = document.querySelector('canvas').getBoundingClientRect();
     const groups = [...document.querySelectorAll('.viewbuttons > .group')].map(g => g.getBoundingClientRect());

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import WebSocketRoute, expect
 
 from support.browser import until
-from support.page_steps import click_view, fits, hold, select, side
+from support.page_steps import HeldAnswers, click_view, fits, hold, select, side
 
 CROSSING = "vehicle,t,x,y,z,yaw\nv1,0,-20,0,10,0\nv1,20,20,0,10,0\nv2,0,0,-20,10,0\nv2,20,0,20,10,0\n"
 
@@ -33,6 +33,42 @@ def test_a_plan_whose_vehicles_meet_is_refused_with_pair_and_time(station, open_
     expect(timeline).to_contain_text(re.compile(r"v1 and v2, 0\.\d m"))
     page.get_by_role("button", name="Fit").click()
     shot(page, "plan-refused")
+    # what cannot be read leaves what is shown
+    large = {"name": "large.csv", "mimeType": "text/csv", "buffer": bytes(2_300_000)}
+    page.locator(".planpanel input[type=file]").set_input_files(large)
+    expect(page.get_by_role("tabpanel", name="Plans")).to_contain_text("large.csv: 2.3 MB; the page takes 2.2 MB")
+    expect(certificate).to_contain_text("refused")
+    assert not page.errors
+
+
+def test_a_late_certificate_is_kept_for_its_panel_and_replaces_no_newer_plan(station, open_page) -> None:
+    page = open_page(station)
+    held = HeldAnswers(page, "web.plan.check", lambda params: "files" in params)
+    page.reload()
+    select(page, "v1", "v2", "v3")
+    certificate = page.get_by_role("region", name="Certificate")
+    crossing = {"name": "crossing.csv", "mimeType": "text/csv", "buffer": CROSSING.encode()}
+
+    def open_crossing() -> None:
+        side(page, "Plans")
+        page.get_by_role("tab", name="File", exact=True).click()
+        page.locator(".planpanel input[type=file]").set_input_files(crossing)
+        until(page, "document.querySelector('.planpanel')?.textContent.includes('Certifying')")
+        held.wait()
+
+    open_crossing()
+    side(page, "Orders")
+    side(page, "Plans")
+    expect(certificate).to_have_count(0)
+    held.release()
+    expect(certificate).to_contain_text("crossing")
+    open_crossing()
+    page.get_by_role("tab", name="Formation", exact=True).click()
+    page.get_by_role("button", name="Plan for 3 vehicles").click()
+    expect(certificate).to_contain_text("certified")
+    held.release()
+    page.wait_for_timeout(300)
+    expect(certificate).to_contain_text("certified")
     assert not page.errors
 
 

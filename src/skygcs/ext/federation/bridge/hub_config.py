@@ -5,10 +5,10 @@ Who may do what, by role. Everything that is not in a list is refused by the ser
     observer   reads    the state batches, events and audit of all sites
                asks     here.* and state.*.full.*
     operator   reads    as an observer
-               asks     as an observer; log.*; orders (cmd, stop) and requests for leases of the sites in `orders`
+               asks     as an observer; log.*; orders (cmd, stop) of the sites in `orders`
     site S     reads    as an observer; here, full states, orders and logs that are asked of S; requests for leases of
                         its own vehicles and of those of the sites in `orders`
-               asks     as an operator
+               asks     as an operator; requests for leases of its own vehicles and of those of the sites in `orders`
                sends    state.S, event.S, audit.S, bridge.S (read by S alone: two bridges of one name find each other);
                         answers to what it was asked, once each
                stores   leases of its own vehicles and of those of the sites in `orders`; its logs

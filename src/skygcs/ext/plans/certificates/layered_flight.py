@@ -87,7 +87,12 @@ def layered(
             layers = Layers(found[0], found[1], heights)
             return _phases(names, starts, goals, layers), layers
         stuck = found
-    return f"{names[stuck]} has none left of {len(heights)} layers {spacing:.2f} m apart, in any number of rounds"
+    return f"{names[stuck]} has none left of {layers_text(len(heights))} {spacing:.2f} m apart, in any number of rounds"
+
+
+def layers_text(count: int) -> str:
+    """ "1 layer", "2 layers"."""
+    return f"{count} layer" + ("" if count == 1 else "s")
 
 
 def _conflicts(

@@ -25,7 +25,7 @@ from skygcs.core.trajectory.piecewise import Vector
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.certificates.certificate import Certificate
 from skygcs.ext.plans.certificates.certify import certify
-from skygcs.ext.plans.certificates.layered_flight import layered
+from skygcs.ext.plans.certificates.layered_flight import layered, layers_text
 
 Kind = Literal["auto", "timed", "phased", "direct"]
 """direct: one phase in which all fly straight, each as fast as it likes."""
@@ -160,7 +160,7 @@ def _layers(search: _Search) -> Attempt:
         return Attempt("layers", None, None, found)
     plan, layers = found
     rounds = len(set(layers.round))
-    what = f"{len(set(layers.layer))} layers" + ("" if rounds == 1 else f", {rounds} rounds")
+    what = layers_text(len(set(layers.layer))) + ("" if rounds == 1 else f", {rounds} rounds")
     return Attempt(what, plan, certify(plan, search.rule, search.space))
 
 

@@ -107,13 +107,14 @@ def test_rounds_where_the_ceiling_leaves_too_few_layers() -> None:
     assert max(z for phase in found.plan.phases for _, _, z in phase.goals.values()) <= 61.0 - 1.25
 
 
-def test_a_search_that_fails_says_what_was_tried_and_why() -> None:
+@pytest.mark.parametrize(("ceiling_m", "left"), [(20.0, "2 layers"), (12.0, "1 layer")])
+def test_a_search_that_fails_says_what_was_tried_and_why(ceiling_m: float, left: str) -> None:
     starts = grid(20)
-    found = make_plan(task(starts, starts[::-1]), RULE, LIMITS, FlightSpace(ceiling_m=20.0))
+    found = make_plan(task(starts, starts[::-1]), RULE, LIMITS, FlightSpace(ceiling_m=ceiling_m))
     assert found.plan is None
     straight, layers = found.reasons()
     assert straight.startswith("straight, timed: v") and "come within 0.000 m at" in straight
-    assert "has none left of 2 layers 5.00 m apart, in any number of rounds" in layers
+    assert f"has none left of {left} 5.00 m apart, in any number of rounds" in layers
 
 
 @each("which", ["starts", "goals"])

@@ -7,7 +7,7 @@ import { useStore } from "../hooks.ts";
 import { runOrder } from "../orders.ts";
 import type { Outcome } from "../types.ts";
 import { ask, mayOrder } from "./calls.ts";
-import { Choice, Failure, NumberField, useKept, useWork } from "./parts.tsx";
+import { Choice, Failure, Kept, NumberField, useKept, useWork } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 export interface HomeFence {
@@ -37,7 +37,7 @@ interface Form {
   action: Action;
 }
 
-const FORM: { value: Form } = { value: { radiusM: null, heightM: null, action: "leave" } };
+const FORM = new Kept<Form>({ radiusM: null, heightM: null, action: "leave" });
 
 /** The parameters of fence.set: what is left empty stays as it is; null: nothing would be set. */
 export function fenceParams({ radiusM, heightM, action }: Form): object | null {

@@ -44,7 +44,7 @@ export function MissionFlight(props: FlightProps & { showDownloaded: (file: File
         ]} />
       </Scroll>
       {orders && <Buttons {...props} />}
-      {orders && targets.length === 1 && <Download {...props} name={targets[0] ?? ""} />}
+      {orders && targets.length === 1 && <Download key={targets[0]} {...props} name={targets[0] ?? ""} />}
     </section>
   );
 }

@@ -13,7 +13,7 @@ import { commandText, countsText, lengthOf, missionShapes, type CheckedMission }
 import { HomeFencePanel } from "./home_fence.tsx";
 import { ALIKE, arrangementOf, askedPaths, bySystemId, SeveralFields, severalShapes, type Several } from "./mission_several.tsx";
 import { MissionFlight, useMissionStatus } from "./mission_flight.tsx";
-import { Choice, contentOf, DropZone, Failure, NumberField, SubTabs, useAsk, useKept, useTool, useWork, type FileContent } from "./parts.tsx";
+import { Choice, contentOf, DropZone, Failure, Kept, NumberField, SubTabs, useAsk, useKept, useTool, useWork, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "mission";
@@ -32,9 +32,9 @@ const TABS: readonly { id: What; title: string }[] = [
 
 /** They outlive the panel. */
 const drafts = new Map<What, KeptDraft>();
-const TAB: { value: What } = { value: "file" };
-const FILE: { value: FileContent | null } = { value: null };
-const SEVERAL = { value: ALIKE };
+const TAB = new Kept<What>("file");
+const FILE = new Kept<FileContent | null>(null);
+const SEVERAL = new Kept(ALIKE);
 
 export default function MissionPanel(props: PanelProps) {
   const { store, view } = props;
@@ -136,13 +136,13 @@ function FromFile({ store, connection, file, keepFile, targets, several, setChec
   const { run, clear } = check;
   // the file is checked again for another vehicle, or about another origin
   useEffect(() => {
-    clear();
     setChecked(null); // what was found of another file, or for another vehicle, is not to be uploaded
-    if (file === null || !known) return;
+    if (file === null || !known) return clear;
     const { text } = file;
     void run({ file, ...context(store, origin, targets, several) }).then((found) => {
       if (found !== null) setChecked({ ...found, text: text ?? null });
     });
+    return clear; // nor what is found once another tab is open
   }, [run, clear, store, origin, known, targets, several, file, setChecked]);
   const read = useWork<FileContent>();
   const take = async ([first]: File[]): Promise<void> => {
@@ -182,16 +182,18 @@ function Drawn(props: PanelProps & { what: What; keeper: DraftKeeper; several: S
   const asked = drawnParams(what, draft);
   const key = JSON.stringify(asked);
   useEffect(() => {
-    clear();
-    setChecked(null); // what was found of the drawing before is not to be uploaded
-    if (key === "null") return undefined;
+    setChecked(null); // what was found of the drawing before, or once another tab is open, is not to be uploaded
+    if (key === "null") return clear;
     const timer = setTimeout(() => {
       const more = context(store, origin, targets, several) as { autopilot: string | null };
       void run({ drawn: JSON.parse(key) as object, ...(fence ? { origin, autopilot: more.autopilot } : more) }).then((found) => {
         if (found !== null) setChecked(found);
       });
     }, CHECK_AFTER_MS);
-    return () => clearTimeout(timer);
+    return () => {
+      clearTimeout(timer);
+      clear();
+    };
   }, [key, run, clear, store, origin, targets, several, fence, setChecked]);
   return (
     <>

@@ -4,6 +4,7 @@ import type { ComponentChildren } from "preact";
 import { useCallback, useEffect, useRef, useState } from "preact/hooks";
 import type { Connection } from "../connection.ts";
 import { ageText } from "../format.ts";
+import { Changes, useChanges } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { Store } from "../store.ts";
 import type { Tool } from "../view/overlays.ts";
@@ -70,23 +71,28 @@ interface Working<T> {
 
 const IDLE = { busy: false, answer: null, error: null };
 
-/** Work at a person's wish, that ends with an answer or an error. Newer work replaces it: an older answer is neither shown nor
- *  returned. `show` puts an answer in its place, and returns whether nothing newer has since. */
+/** Work at a person's wish, that ends with an answer, or with an error beside the answer that was shown before. Newer work replaces
+ *  it: an older answer is neither shown nor returned. `show` puts an answer in its place, and returns whether nothing newer has since. */
 export function useWork<T>() {
   const [state, setState] = useState<Working<T>>(IDLE);
   const number = useRef(0);
-  const show = useCallback((answer: T | null, error: string | null = null): (() => boolean) => {
+  const show = useCallback((answer: T | null): (() => boolean) => {
     const mine = ++number.current;
-    setState({ busy: false, answer, error });
+    setState({ busy: false, answer, error: null });
     return () => mine === number.current;
   }, []);
   const run = useCallback(async (work: () => Promise<T>): Promise<T | null> => {
     const mine = ++number.current;
     setState((before) => ({ ...before, busy: true, error: null }));
-    const ended = await work().then((answer) => ({ answer, error: null }), (error: unknown) => ({ answer: null, error: refusalText(error) }));
-    if (mine !== number.current) return null;
-    show(ended.answer, ended.error);
-    return ended.answer;
+    try {
+      const answer = await work();
+      if (mine !== number.current) return null;
+      show(answer);
+      return answer;
+    } catch (error) {
+      if (mine === number.current) setState((before) => ({ ...before, busy: false, error: refusalText(error) }));
+      return null;
+    }
   }, [show]);
   const clear = useCallback((): void => void show(null), [show]);
   return { ...state, run, show, clear };
@@ -102,13 +108,19 @@ export function useAsk<T>(store: Store, connection: Connection, method: string) 
   return { ...rest, run };
 }
 
-/** A value that outlives its panel: another tab must not lose it. */
-export function useKept<T>(kept: { value: T }): [value: T, keep: (next: T) => void] {
-  const [value, setValue] = useState(kept.value);
-  return [value, useCallback((next: T) => {
-    kept.value = next;
-    setValue(() => next);
-  }, [kept])];
+/** A value that outlives its panel: another tab must not lose it, nor an answer that comes meanwhile. */
+export class Kept<T> extends Changes {
+  constructor(public value: T) { super(); }
+
+  readonly keep = (next: T): void => {
+    this.value = next;
+    this.changed();
+  };
+}
+
+export function useKept<T>(kept: Kept<T>): [value: T, keep: (next: T) => void] {
+  useChanges(kept);
+  return [kept.value, kept.keep];
 }
 
 /** The canvas' tool while a panel is shown. A person may end it with Escape; `resume` takes it up again. */

@@ -113,10 +113,11 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
   const run = async (more: { force?: boolean; set_return_heights?: boolean }): Promise<void> => {
     if (found === null) return;
     const { plan } = found;
+    const mine = show(found);
     const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { plan, ...params, ...more }, targets };
     const answer = await runOrder<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: after }) =>
       said(started, after.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; ")));
-    if (answer !== null) show(answer.started ? null : { plan, report: answer.report });
+    if (answer !== null && mine()) show(answer.started ? null : { plan, report: answer.report });
   };
   if (checked === null) return status === null || status.state === "none" ? <p class="note">Open or make a plan to fly it.</p> : null;
   const whom = namesText(targets);

@@ -10,7 +10,7 @@ import type { Vec3 } from "../types.ts";
 import { goalsTool, overlay } from "./drafts.ts";
 import { formation, SHAPES, type FormationShape } from "./formation.ts";
 import { LiveFormation } from "./live_formation.tsx";
-import { Check, Choice, contentOf, DropZone, Failure, Fold, NumberField, PlainTable, Scroll, SubTabs, useAsk, useKept, useTool } from "./parts.tsx";
+import { Check, Choice, contentOf, DropZone, type FileContent, Failure, Fold, Kept, NumberField, PlainTable, Scroll, SubTabs, useAsk, useKept, useTool, useWork } from "./parts.tsx";
 import { PlanFlight } from "./plan_flight.tsx";
 import { approachText, ghostShapes, planShapes, termRows, type Approach, type CheckedPlan } from "./plan_shapes.ts";
 import { PlanTimeline } from "./plan_timeline.ts";
@@ -31,8 +31,13 @@ const TABS: readonly { id: Source; title: string }[] = [
 ];
 
 /** It outlives the panel: another tab must not lose a plan. */
-const CHECKED: { value: CheckedPlan | null } = { value: null };
-const SOURCE: { value: Source } = { value: "files" };
+const CHECKED = new Kept<CheckedPlan | null>(null);
+const SOURCE = new Kept<Source>("files");
+
+/** Shows what is found, in place of the plan before; but what a newer wish asked for is not replaced by it, on whichever tab. */
+type Take = (asked: Promise<CheckedPlan | null>) => Promise<void>;
+
+let newestWish = 0;
 
 export default function PlanPanel(props: PanelProps) {
   const { view } = props;
@@ -42,9 +47,15 @@ export default function PlanPanel(props: PanelProps) {
   const still = useMemo(() => (checked === null ? [] : planShapes(checked, timeline)), [checked, timeline]);
   const [t_s, setT] = useState(0);
   useOverlay(view, OVERLAY, useMemo(() => overlay(still, timeline === null ? [] : ghostShapes(timeline, t_s)), [still, timeline, t_s]));
-  const take = (next: CheckedPlan | null): void => {
-    keepChecked(next);
+  const discard = (): number => {
+    keepChecked(null);
     setT(0);
+    return ++newestWish;
+  };
+  const take: Take = async (asked) => {
+    const mine = discard();
+    const found = await asked;
+    if (mine === newestWish) keepChecked(found);
   };
   return (
     <div class="panel planpanel">
@@ -53,7 +64,7 @@ export default function PlanPanel(props: PanelProps) {
       {source === "formation" && <FromFormation {...props} take={take} />}
       {source === "goals" && <FromGoals {...props} take={take} />}
       {source === "live" && <LiveFormation {...props} />}
-      {checked !== null && <Judged checked={checked} discard={() => take(null)} />}
+      {checked !== null && <Judged checked={checked} discard={discard} />}
       {timeline !== null && <Timeline timeline={timeline} phases={checked?.paths?.phases ?? []} downwashRatio={checked?.certificate?.downwash_ratio ?? 2} t_s={t_s} setT={setT} />}
       <PlanFlight {...props} checked={checked} follow={setT} />
     </div>
@@ -72,24 +83,25 @@ function standingBut(state: State, names: readonly string[]): Record<string, Vec
 
 // --- files ------------------------------------------------------------------------------------------------------------
 
-function FromFiles({ store, connection, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
+function FromFiles({ store, connection, take }: PanelProps & { take: Take }) {
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
-  const content = async (files: File[]): Promise<object> => {
+  const read = useWork<FileContent[]>();
+  const open = async (chosen: File[]): Promise<void> => {
+    const files = await read.run(async () => {
+      const contents = await Promise.all(chosen.map(contentOf));
+      if (!frameIsKnown(store.state)) throw new Error(FRAME_UNKNOWN);
+      return contents;
+    });
+    if (files === null) return; // what is shown stays
     const { origin } = store.state;
-    if (!frameIsKnown(store.state)) throw new Error(FRAME_UNKNOWN);
-    return { files: await Promise.all(files.map(contentOf)), standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) };
-  };
-  const open = async (files: File[]): Promise<void> => {
-    take(null);
-    const found = await check.run(content(files));
-    if (found !== null) take(found);
+    await take(check.run({ files, standing: standingBut(store.state, []), ...(origin === null ? {} : { origin }) }));
   };
   return (
     <>
       <DropZone label="Open a plan" several accept=".json,.skyc,.csv" onFiles={(files) => void open(files)} />
       <p class="muted">Plans of skygcs (.json), Skybrush shows (.skyc), paths or Crazyswarm trajectories (.csv, one or several).</p>
       {check.busy && <p class="note">Certifying …</p>}
-      <Failure text={check.error} />
+      <Failure text={read.error ?? check.error} />
     </>
   );
 }
@@ -103,13 +115,9 @@ function useUnplaced(store: PanelProps["store"], names: readonly string[]): read
 }
 
 /** Asks for the plan of a task for some vehicles, and takes it in place of the one before. */
-function usePlanning({ store, connection, take }: Pick<PanelProps, "store" | "connection"> & { take: (checked: CheckedPlan | null) => void }, names: readonly string[]) {
+function usePlanning({ store, connection, take }: Pick<PanelProps, "store" | "connection"> & { take: Take }, names: readonly string[]) {
   const check = useAsk<CheckedPlan>(store, connection, "web.plan.check");
-  const run = async (task: object): Promise<void> => {
-    take(null);
-    const found = await check.run({ task, standing: standingBut(store.state, names) });
-    if (found !== null) take(found);
-  };
+  const run = (task: object): Promise<void> => take(check.run({ task, standing: standingBut(store.state, names) }));
   return { check, run };
 }
 
@@ -127,7 +135,7 @@ function round(value: number): number {
   return Math.round(value * 100) / 100;
 }
 
-function FromFormation({ store, connection, view, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
+function FromFormation({ store, connection, view, take }: PanelProps & { take: Take }) {
   const names = useSelected(store);
   const [shape, setShape] = useState<FormationShape>("v");
   const [spacing, setSpacing] = useState(8);
@@ -179,7 +187,7 @@ function middleOf(state: State, names: readonly string[]): readonly [number, num
 
 const NO_GOALS: ReadonlyMap<string, Vec3> = new Map();
 
-function FromGoals({ store, connection, view, take }: PanelProps & { take: (checked: CheckedPlan | null) => void }) {
+function FromGoals({ store, connection, view, take }: PanelProps & { take: Take }) {
   const names = useSelected(store);
   const [height, setHeight] = useState(20);
   const [exchange, setExchange] = useState(false);

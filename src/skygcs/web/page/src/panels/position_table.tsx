@@ -6,7 +6,7 @@ import type { State } from "../store.ts";
 import type { Vec3 } from "../types.ts";
 import type { Shape } from "../view/overlays.ts";
 import { overlay } from "./drafts.ts";
-import { contentOf, DropZone, Failure, useAsk, useKept } from "./parts.tsx";
+import { contentOf, DropZone, Failure, Kept, useAsk, useKept } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
 
 const OVERLAY = "position table";
@@ -20,7 +20,7 @@ export interface PositionTable {
   headings: boolean;
 }
 
-const TABLE: { value: PositionTable | null } = { value: null };
+const TABLE = new Kept<PositionTable | null>(null);
 
 export interface Chosen {
   goals: ReadonlyMap<string, Vec3>;
@@ -60,7 +60,6 @@ export function PositionTableLoader({ store, connection, view, take }: PanelProp
   const open = async ([file]: File[]): Promise<void> => {
     if (file === undefined) return;
     setProblem(null);
-    keep(null);
     const found = await check.run(content(file));
     if (found !== null) keep(found);
   };
