@@ -207,12 +207,12 @@ NEED = "; they need 2.5 m, heights divided by 2"
     ("to", "there", "text"),
     [
         # beside the way, beyond its end, above it
-        ((40.0, 0.0, 0.0), other(20.0, 2.48, 0.0), "v1 would come 2.5 m near v2 (in the air)" + NEED),
+        ((40.0, 0.0, 0.0), other(20.0, 2.48, 0.0), "come 2.48 m near v2 (in the air); they need 2.50 m"),
         ((40.0, 0.0, 0.0), other(20.0, 2.55, 0.0), None),
         ((40.0, 0.0, 0.0), other(42.4, 0.0, 0.0), "v1 would come 2.4 m near v2 (in the air)" + NEED),
         ((40.0, 0.0, 0.0), other(42.6, 0.0, 0.0), None),
         ((40.0, 0.0, 0.0), other(-2.6, 0.0, 0.0), None),
-        ((40.0, 0.0, 0.0), other(20.0, 0.0, 4.9), "v1 would come 2.5 m near v2 (in the air)" + NEED),
+        ((40.0, 0.0, 0.0), other(20.0, 0.0, 4.9), "come 2.45 m near v2 (in the air); they need 2.50 m"),
         ((40.0, 0.0, 0.0), other(20.0, 0.0, -5.1), None),
         ((0.0, 0.0, 0.0), other(2.6, 0.0, 0.0), None),
         # what it is
