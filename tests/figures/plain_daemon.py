@@ -58,11 +58,13 @@ def calls_above(frame: FrameType | None) -> list[Call]:
 
 
 class Tracer:
-    """Remembers which functions started each task, and the way of the first frame that is sent while it is on."""
+    """Remembers which functions started each task, and the way of the first frame that is sent for a request while it
+    is on; the daemon sends others of its own."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.on = False
         self.way: list[Call] = []
+        self.found = asyncio.Event()
         self._started_by: dict[int, list[Call]] = {}
         loop.set_task_factory(self._make_task)
 
@@ -80,8 +82,12 @@ class Tracer:
 
     def sent(self, frame: FrameType) -> None:
         """A frame has come to the link."""
-        if self.on and not self.way:
-            self.way = self._calls_here(frame)
+        if not self.on or self.way:
+            return
+        way = self._calls_here(frame)
+        if way and way[0][0].startswith("rpc/"):
+            self.way = way
+            self.found.set()
 
 
 async def measured(folder: Path) -> dict[str, Any]:
@@ -121,21 +127,18 @@ async def _arm(daemon: Any, folder: Path, port: int, tracer: Tracer) -> None:
 
     UdpChannel.send = traced  # type: ignore[method-assign,assignment]
     with socket.socket(type=socket.SOCK_DGRAM) as vehicle:
+        heartbeat = encode(daemon.dialect.find("HEARTBEAT"), values, sysid=1, compid=1, seq=0)
         while not daemon.fleet.vehicles:
-            vehicle.sendto(
-                encode(daemon.dialect.find("HEARTBEAT"), values, sysid=1, compid=1, seq=0), ("127.0.0.1", port)
-            )
+            vehicle.sendto(heartbeat, ("127.0.0.1", port))
             await asyncio.sleep(0.05)
-        await asyncio.sleep(1.5)  # requests of the first second have gone
+        for _ in range(3):  # requests of the first second have gone, and it is heard until the order
+            await asyncio.sleep(0.5)
+            vehicle.sendto(heartbeat, ("127.0.0.1", port))
         _, writer = await asyncio.open_unix_connection(str(folder / "s"))
         request = {"jsonrpc": "2.0", "id": 1, "method": "vehicles.arm", "params": {"targets": "all"}}
         tracer.on = True
         writer.write(json.dumps(request).encode() + b"\n")
-        for _ in range(100):
-            await asyncio.sleep(0.02)
-            if tracer.way and tracer.way[0][0].startswith("rpc/"):
-                break
-            tracer.way = []
+        await asyncio.wait_for(tracer.found.wait(), 60.0)
         writer.close()
 
 
