@@ -95,7 +95,7 @@ async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(t
 
 @pytest.mark.parametrize("order", ["goto", "mission"])
 async def test_nobody_is_sent_so_that_it_turns_into_another_one(order: str, tmp_path: Path) -> None:
-    """What flies fast was taken to leave for its new place from where it was, without the space in which it turns."""
+    """The way of a fast vehicle to its new place left out the space in which it turns."""
     async with aloft(tmp_path, px4=3, conditions=EXACT) as gcs:
         await gcs.done("vehicles.goto", targets="v1", enu_m=[-40.0, 0.0, 10.0])
         rows = [(3, 16, 0, 0, 0, 0, *FIELD.to_geodetic(east, 60.0), 10.0) for east in (-13.0, -14.0)]

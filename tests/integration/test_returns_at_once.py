@@ -360,7 +360,7 @@ async def test_an_order_to_return_that_a_standstill_ends_is_answered(tmp_path: P
 
 
 async def test_one_that_was_sent_elsewhere_since_is_not_on_its_way_home(tmp_path: Path) -> None:
-    """For 10 s after its order to return it counted as flying home, so another one came down onto it: 0.66 m."""
+    """It counted as flying home for 10 s after its rtl, and another vehicle came down onto it: 0.66 m."""
     async with aloft(tmp_path, px4=2) as gcs:
         await gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 40.0, 10.0])
         await gcs.done("vehicles.goto", targets="v2", enu_m=[8.0, 16.0, 10.0])

@@ -100,7 +100,7 @@ class SigningStore:
     """One file per key, named by its id and without the key. ``problems``: why the last access failed, by key id, of
     the keys of which it did; ``shared``: ids of keys that another program on this computer saves as well.
 
-    The time in a file never goes back, whoever writes it: of two daemons with one key the later one's counts.
+    The time in a file never goes back, whichever daemon writes it: if two use one key, the later time counts.
     """
 
     def __init__(self, folder: Path | None) -> None:

@@ -465,7 +465,7 @@ async def test_a_page_that_comes_later_gets_the_newest_plan_until_the_daemon_is_
 
 
 async def test_nothing_comes_of_what_waits_on_a_page_that_was_closed(bench: Bench) -> None:
-    """Of a browser that was signed out, thousands of messages may not have been read yet, with an order among them."""
+    """A browser that is signed out may have thousands of unread messages, and an order among them."""
     page, _ = bench.page()
     bench.pages.close_pages()
     page.on_message(request("vehicles.arm", targets="all", deadline_s=bench.pages.loop.time() + 3.0))

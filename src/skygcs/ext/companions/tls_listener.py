@@ -147,8 +147,8 @@ class TlsListener:
             await asyncio.sleep(RETRY_S)
 
     def _refresh(self) -> PinnedTls:
-        """The context of the files as they are now, or of the last ones that could be used. Raises LinkError if there
-        are none, or their pinned certificate was replaced or removed since."""
+        """The context of the files as they are now, or of the last ones that could be used. Raises LinkError if none
+        could, or if the certificate that they pinned has been replaced or removed."""
         read_at, kept = self._identity.changed(), None
         if self._tls is None or read_at != self._read_at:
             try:

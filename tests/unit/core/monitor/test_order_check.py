@@ -328,7 +328,7 @@ def test_a_setpoint_is_compared_with_each_other(to: Vector | None, velocity: Vec
     ],
 )
 def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector, found: bool) -> None:
-    """As what stands there, and as a way that ends there."""
+    """Both are compared: a vehicle that stands at the place, and a way that ends there."""
     way = Way(2, "v2", Footprint(), standing(place))
     for text in (goto_conflict(moves, at(*to), [other(*place)], NOW), space_conflict(moves, at(*to), [way])):
         assert (text is not None) is found, text

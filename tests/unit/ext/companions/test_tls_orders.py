@@ -151,7 +151,10 @@ async def test_files_that_cannot_be_read_any_more_cut_no_ground(
     monkeypatch.setattr(tls_listener, "PIN_LOOK_S", 0.02)
     await asyncio.sleep(1.1)  # the look that has begun
     door.events.clear()
-    changes = lambda: [event.data["change"] for event in door.events]  # noqa: E731
+
+    def changes() -> list[str]:
+        return [event.data["change"] for event in door.events]
+
     names = ("ground.crt", "companion.key", "companion.crt") if name == "all three" else (name,)
     before = {file: (file.read_bytes(), file.stat().st_mode) for file in (door.companion / one for one in names)}
     ground = await door.connect()

@@ -1,4 +1,4 @@
-"""What is ordered when the dead-man button is released before the daemon has answered."""
+"""The dead-man button is released before the daemon has answered: hold is ordered, or nothing."""
 
 from __future__ import annotations
 
