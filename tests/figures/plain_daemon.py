@@ -37,6 +37,9 @@ sysid = 1
 sysid = 2
 """
 
+TRIES = 5
+"""Orders, until the frame of one was sent at once."""
+
 Call = tuple[str, str]
 """File and function."""
 
@@ -119,27 +122,50 @@ async def _arm(daemon: Any, folder: Path, port: int, tracer: Tracer) -> None:
     from skygcs.links.udp import UdpChannel
 
     values = {"type": 2, "autopilot": 3, "system_status": 3, "mavlink_version": 3}
+    heartbeat = encode(daemon.dialect.find("HEARTBEAT"), values, sysid=1, compid=1, seq=0)
     send = UdpChannel.send
 
     def traced(channel: UdpChannel, *arguments: Any) -> bool:
         tracer.sent(sys._getframe(1))
         return send(channel, *arguments)
 
+    async def be_heard(vehicle: socket.socket) -> None:
+        while True:
+            vehicle.sendto(heartbeat, ("127.0.0.1", port))
+            await asyncio.sleep(0.2)
+            if daemon.fleet.vehicles:
+                heard.set()
+
+    heard = asyncio.Event()
     UdpChannel.send = traced  # type: ignore[method-assign,assignment]
     with socket.socket(type=socket.SOCK_DGRAM) as vehicle:
-        heartbeat = encode(daemon.dialect.find("HEARTBEAT"), values, sysid=1, compid=1, seq=0)
-        while not daemon.fleet.vehicles:
-            vehicle.sendto(heartbeat, ("127.0.0.1", port))
-            await asyncio.sleep(0.05)
-        for _ in range(3):  # requests of the first second have gone, and it is heard until the order
-            await asyncio.sleep(0.5)
-            vehicle.sendto(heartbeat, ("127.0.0.1", port))
-        _, writer = await asyncio.open_unix_connection(str(folder / "s"))
-        request = {"jsonrpc": "2.0", "id": 1, "method": "vehicles.arm", "params": {"targets": "all"}}
-        tracer.on = True
+        hearing = asyncio.create_task(be_heard(vehicle))
+        await heard.wait()
+        await asyncio.sleep(1.5)  # the daemon's own requests of the first second have gone
+        await _order_until_sent(folder, tracer)
+        hearing.cancel()
+
+
+async def _order_until_sent(folder: Path, tracer: Tracer) -> None:
+    """Ask for an order until a frame of it was sent by its own way. One whose frame has to wait behind others is sent
+    by the queue and shows no way: on a busy machine the next one does."""
+    reader, writer = await asyncio.open_unix_connection(str(folder / "s"))
+    tracer.on = True
+    answers: list[bytes] = []
+    for number in range(TRIES):
+        request = {"jsonrpc": "2.0", "id": number, "method": "vehicles.arm", "params": {"targets": "all"}}
         writer.write(json.dumps(request).encode() + b"\n")
-        await asyncio.wait_for(tracer.found.wait(), 60.0)
-        writer.close()
+        answer = asyncio.ensure_future(reader.readline())
+        found = asyncio.ensure_future(tracer.found.wait())
+        await asyncio.wait((answer, found), return_when=asyncio.FIRST_COMPLETED)
+        if tracer.way:
+            answer.cancel()
+            break
+        found.cancel()
+        answers.append(await answer)
+    writer.close()
+    if not tracer.way:
+        sys.exit(f"no frame was sent by an order's own way; the answers: {answers}")
 
 
 if __name__ == "__main__":
