@@ -84,6 +84,9 @@ STATES = {NO_MISSION: "no mission", 2: "not started", 3: "active", 4: "paused", 
 
 STATE_TEXTS = {NO_MISSION: "it has no mission", **{state: f"its mission is {STATES[state]}" for state in (2, 3, 4, 5)}}
 
+Held = Callable[[MissionType], str | None]
+Check = Callable[[], None]
+
 
 class Missions:
     """The mission, fence and rally points of one vehicle. ``on_progress(what, percent)`` gets the progress of
@@ -145,10 +148,10 @@ class Missions:
         self._total: int | None = None
         """Number of items that it reports, without home; None: it does not report it."""
 
-    async def upload(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionOutcome:
+    async def _upload(self, kind: MissionType, items: tuple[MissionItem, ...], may_begin: Check) -> MissionOutcome:
         """Upload ``items`` as on the wire (`mission_orders.on_wire`); an empty list clears the vehicle's list."""
         if not items:
-            return await self.clear(kind)
+            return await self._clear(kind, may_begin)
         home_first = kind is MissionType.MISSION and keeps_home(self._vehicle)
         protocol = MissionUpload(
             kind,
@@ -158,7 +161,7 @@ class Missions:
             home_first=home_first,
             family=firmware_family(self._vehicle),
         )
-        return await self._run(protocol, f"{kind.word} upload")
+        return await self._run(protocol, f"{kind.word} upload", may_begin)
 
     async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
         """A PX4 accepts a mission and checks it afterwards; only an event or a text reports that it is rejected."""
@@ -175,32 +178,43 @@ class Missions:
         """Download one list; its ``items`` are as on the wire."""
         return await self._run(MissionDownload(kind), f"{kind.word} download")
 
-    async def clear(self, kind: MissionType) -> MissionOutcome:
-        return await self._run(MissionClear(kind), f"{kind.word} clear")
+    async def _clear(self, kind: MissionType, may_begin: Check) -> MissionOutcome:
+        return await self._run(MissionClear(kind), f"{kind.word} clear", may_begin)
 
-    async def bring(self, plan: MissionPlan, kinds: Collection[MissionType], *, limit_m: float, force: bool) -> Outcome:
-        """Check these lists of a plan and upload them, fence first; stops at the first that is not accepted."""
+    async def bring(
+        self, plan: MissionPlan, kinds: Collection[MissionType], held: Held, *, limit_m: float, force: bool
+    ) -> Outcome:
+        """Check these lists of a plan and upload them, fence first; stops at the first that is not accepted.
+
+        ``held(kind)``: why a flight holds that list; None: none does. Everything is checked before the first list is
+        sent, and each list again when its turn comes: a flight may have begun while it waited."""
         kinds = _ordered(kinds)
-        try:
-            require_uploadable(
-                self._vehicle, self._loop.time(), plan, kinds, self._dialect, limit_m=limit_m, force=force
-            )
-        except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}")
-        outcome = await self._each(
-            kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind, self._dialect))
-        )
-        changes = converted(self._vehicle, plan, self._dialect).changes if MissionType.MISSION in kinds else ()
+        vehicle, dialect = self._vehicle, self._dialect
+
+        def require(kinds: tuple[MissionType, ...]) -> None:
+            _require_free(kinds, held)
+            require_uploadable(vehicle, self._loop.time(), plan, kinds, dialect, limit_m=limit_m, force=force)
+
+        async def one(kind: MissionType) -> MissionOutcome:
+            return await self._upload(kind, on_wire(vehicle, plan, kind, dialect), lambda: require((kind,)))
+
+        if (refused := _raised_by(lambda: require(kinds))) is not None:
+            return Outcome.refused(str(refused))
+        outcome = await self._each(kinds, one)
+        changes = converted(vehicle, plan, dialect).changes if MissionType.MISSION in kinds else ()
         return replace(outcome, message="; ".join((outcome.message, *_change_texts(changes)))) if changes else outcome
 
-    async def drop(self, kinds: Collection[MissionType], *, force: bool) -> Outcome:
-        """Clear these lists."""
+    async def drop(self, kinds: Collection[MissionType], held: Held, *, force: bool) -> Outcome:
+        """Clear these lists; ``held`` and checks as for `bring`."""
         kinds = _ordered(kinds)
-        try:
+
+        def require(kinds: tuple[MissionType, ...]) -> None:
+            _require_free(kinds, held)
             require_clearable(self._vehicle, self._loop.time(), kinds, force=force)
-        except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}")
-        return await self._each(kinds, self.clear)
+
+        if (refused := _raised_by(lambda: require(kinds))) is not None:
+            return Outcome.refused(str(refused))
+        return await self._each(kinds, lambda kind: self._clear(kind, lambda: require((kind,))))
 
     async def fetch(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
         """Download these lists; the plan contains those that came, and an ArduPilot's home."""
@@ -221,7 +235,7 @@ class Missions:
         try:
             require_connected(vehicle, self._loop.time())
         except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}"), plan
+            return Outcome.refused(str(error)), plan
         return await self._each(_ordered(kinds), one), plan
 
     def count(self, kind: MissionType) -> int | None:
@@ -336,7 +350,8 @@ class Missions:
         self._tasks.close()
         self._timer.set(None)
 
-    async def _run(self, protocol: MissionProtocol, what: str) -> MissionOutcome:
+    async def _run(self, protocol: MissionProtocol, what: str, may_begin: Check | None = None) -> MissionOutcome:
+        """Run one transfer when its turn comes, unless ``may_begin`` raises RefusedError then."""
         missing = [name for name in NEEDED if name not in self._dialect.by_name]
         if missing:
             text = f"dialect {self._dialect.name} has no {missing[0]}"
@@ -355,6 +370,8 @@ class Missions:
             if self._vehicle.duplicate:
                 refused = duplicate_refusal(self._vehicle)
                 return MissionOutcome(False, refused.result, refused.message, protocol.kind, "unchanged")
+            if may_begin is not None and (refused_by := _raised_by(may_begin)) is not None:
+                return MissionOutcome(False, "refused", f"refused: {refused_by}", protocol.kind, "unchanged")
             outcome = await self._protocol(protocol, what)
             if outcome.ok and isinstance(protocol, MissionUpload) and protocol.kind is MissionType.MISSION:
                 return await self._feasible(outcome)
@@ -525,6 +542,22 @@ def _change_texts(changes: tuple[ItemChange, ...]) -> list[str]:
     lines = grouped(changes)
     more = [f"and {len(lines) - MAX_CHANGES} more kinds of changes: skygcs-cli mission check lists them"]
     return [f"mission {line}" for line in lines[:MAX_CHANGES]] + (more if len(lines) > MAX_CHANGES else [])
+
+
+def _require_free(kinds: tuple[MissionType, ...], held: Held) -> None:
+    """Raises RefusedError for the first of these lists that a flight holds."""
+    for kind in kinds:
+        if (why := held(kind)) is not None:
+            raise RefusedError(why)
+
+
+def _raised_by(check: Check) -> RefusedError | None:
+    """The refusal that a check raises; None if it raises none."""
+    try:
+        check()
+    except RefusedError as error:
+        return error
+    return None
 
 
 def _ordered(kinds: Collection[MissionType]) -> tuple[MissionType, ...]:

@@ -6,6 +6,7 @@ Each is a function of the vehicle's actor, to be given with `FleetOrders.command
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Coroutine, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from skygcs.core.mission.item import MissionType
@@ -28,20 +29,17 @@ async def upload_plan(
     actor: VehicleActor, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False
 ) -> Outcome:
     """See `Missions.bring`. Not the fence or the rally points while a flight stands on the present ones."""
-    await actor.services.one_a_turn.wait()  # before it is asked what may be changed: a flight may begin meanwhile
-    if (why := _list_refusal(actor, kinds)) is not None:
-        return actor.refuse("plan upload", why)
-    work = actor.missions.bring(plan, kinds, limit_m=actor.config.goto_limit_m, force=force)
+    await actor.services.one_a_turn.wait()
+    limit_m = actor.config.goto_limit_m
+    work = actor.missions.bring(plan, kinds, partial(_held_list, actor), limit_m=limit_m, force=force)
     with actor.outcomes.tracked("plan upload") as ended:
         return ended(await work)
 
 
 async def clear_plan(actor: VehicleActor, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
     """See `Missions.drop`; as `upload_plan`."""
-    if (why := _list_refusal(actor, kinds)) is not None:
-        return actor.refuse("plan clear", why)
     with actor.outcomes.tracked("plan clear") as ended:
-        return ended(await actor.missions.drop(kinds, force=force))
+        return ended(await actor.missions.drop(kinds, partial(_held_list, actor), force=force))
 
 
 async def download_plan(actor: VehicleActor, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
@@ -52,12 +50,16 @@ async def download_plan(actor: VehicleActor, kinds: Collection[MissionType]) -> 
     return actor.outcomes.finish("plan download", outcome), plan
 
 
-def _list_refusal(actor: VehicleActor, kinds: Collection[MissionType]) -> str | None:
-    """Why these lists must not be changed now; None if they may. A mission is nothing that a flight stands on."""
+def _held_list(actor: VehicleActor, kind: MissionType) -> str | None:
+    """Why this list must not be changed now; None if it may. A mission is nothing that a flight stands on."""
     refusal, key = actor.services.locks.refusal, actor.vehicle.key
-    fence = refusal(FenceListWrite(key)) if MissionType.FENCE in kinds else None
-    rally = refusal(RallyWrite(key)) if MissionType.RALLY in kinds else None
-    return fence or rally
+    match kind:
+        case MissionType.FENCE:
+            return refusal(FenceListWrite(key))
+        case MissionType.RALLY:
+            return refusal(RallyWrite(key))
+        case MissionType.MISSION:
+            return None
 
 
 # -- missions in flight

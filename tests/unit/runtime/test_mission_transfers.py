@@ -140,6 +140,45 @@ async def test_a_flight_that_begins_while_an_upload_waits_for_its_turn_keeps_its
         assert not storing.lists[1].items
 
 
+@pytest.mark.parametrize("order", ["upload", "clear"])
+async def test_a_flight_that_begins_behind_another_transfer_keeps_its_fence(
+    monkeypatch: pytest.MonkeyPatch, order: str
+) -> None:
+    async with Site() as (_, storing, actor):
+        assert (await onboard_orders.upload_plan(actor, plan=PLAN, kinds=ALL)).ok
+        before = list(storing.lists[1].items)
+        reading = asyncio.ensure_future(onboard_orders.download_plan(actor, ALL))
+        await asyncio.sleep(0.1)
+        assert actor.missions.status()["transfer"] is not None, "it has to wait behind this one"
+        asked = asyncio.ensure_future(
+            onboard_orders.upload_plan(actor, plan=PLAN, kinds=(FENCE,))
+            if order == "upload"
+            else onboard_orders.clear_plan(actor, kinds=(FENCE,))
+        )
+        await asyncio.sleep(0.1)
+        assert not asked.done() and not reading.done()
+        monkeypatch.setattr(actor.services.locks, "refusal", lambda change: "a flight stands on it")
+        assert (await asked).message == "fence: refused: a flight stands on it"
+        assert (await reading)[0].ok
+        assert storing.lists[1].items == before
+
+
+async def test_a_mission_that_is_flown_by_its_turn_is_not_replaced() -> None:
+    async with Site() as (_, storing, actor):
+        assert (await onboard_orders.upload_plan(actor, plan=PLAN, kinds=ALL)).ok
+        before = list(storing.lists[0].items)
+        reading = asyncio.ensure_future(onboard_orders.download_plan(actor, ALL))
+        await asyncio.sleep(0.1)
+        asked = asyncio.ensure_future(onboard_orders.clear_plan(actor, kinds=(MISSION,)))
+        await asyncio.sleep(0.1)
+        assert not asked.done() and not reading.done()
+        storing.vehicle.armed, storing.vehicle.mode = True, PX4_MISSION
+        storing.vehicle.pulse()
+        assert "it is flying its mission" in (await asked).message
+        assert storing.lists[0].items == before
+        await reading
+
+
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
 async def test_a_plan_goes_up_and_comes_down_unchanged(autopilot: int) -> None:
     async with Site(autopilot) as (ground, storing, actor):
@@ -308,7 +347,9 @@ async def test_a_second_vehicle_with_its_id_ends_its_transfer_and_those_that_wai
 async def test_transfers_wait_for_their_turn_and_not_without_end() -> None:
     async with Site() as (_, storing, actor):
         storing.mute.add("MISSION_ACK")
-        tasks = [asyncio.create_task(actor.missions.clear(MISSION)) for _ in range(MAX_WAITING + 2)]
+        tasks = [
+            asyncio.create_task(onboard_orders.clear_plan(actor, kinds=(MISSION,))) for _ in range(MAX_WAITING + 2)
+        ]
         await asyncio.sleep(0.1)
         assert tasks[-1].done() and "transfers are waiting already" in tasks[-1].result().message
         storing.mute.clear()
@@ -318,7 +359,7 @@ async def test_transfers_wait_for_their_turn_and_not_without_end() -> None:
 async def test_answers_for_other_stations_and_other_lists_are_not_ours() -> None:
     async with Site() as (_, storing, actor):
         storing.mute.add("MISSION_ACK")
-        task = asyncio.create_task(actor.missions.clear(MISSION))
+        task = asyncio.create_task(onboard_orders.clear_plan(actor, kinds=(MISSION,)))
         await asyncio.sleep(0.3)
         say, tell = storing.vehicle.say, storing.vehicle.tell
         tell(say(mav.MAVLink_mission_ack_message(255, 190, 0, 0)))
@@ -520,7 +561,7 @@ async def test_a_list_that_may_have_changed_is_read_again_before_it_is_used(
     async with Site(autopilot) as (ground, storing, actor):
         missions = actor.missions
         assert (await onboard_orders.upload_plan(actor, plan=replace(PLAN, fence=FencePlan()), kinds=(MISSION,))).ok
-        assert (await missions.clear(FENCE)).ok
+        assert (await onboard_orders.clear_plan(actor, kinds=(FENCE,))).ok
         held = await missions.known_items()
         assert held is not None and len(held) == 4 and await missions.fence_shapes() == FencePlan()
         assert not [s for s in ground.sent if s.name == "MISSION_REQUEST_LIST"], "nothing is read that is known"
