@@ -52,10 +52,15 @@ MAX_WORD_CHARS = 80
 
 
 def near_names(word: str, known: Iterable[str], *, n: int = 3, cutoff: float = 0.6) -> list[str]:
-    """At most ``n`` of the known names that are spelled like the begin of ``word``, the most similar first."""
+    """At most ``n`` of the known names that are spelled like the begin of ``word``, in whatever case, the most similar
+    first."""
     import difflib  # with the first typing error: 0.15 MB that a daemon does without
 
-    return difflib.get_close_matches(word[:MAX_WORD_CHARS], list(known), n=n, cutoff=cutoff)
+    folded: dict[str, str] = {}
+    for name in known:
+        folded.setdefault(name.casefold(), name)
+    near = difflib.get_close_matches(word[:MAX_WORD_CHARS].casefold(), folded, n=n, cutoff=cutoff)
+    return [folded[name] for name in near]
 
 
 def enumerated(names: Iterable[object], most: int = 5) -> str:

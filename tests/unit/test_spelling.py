@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.spelling import enumerated, is_number, listed, rounded
+from skygcs.spelling import enumerated, is_number, listed, near_names, rounded
 from support.table import each
 
 
@@ -58,3 +58,17 @@ def test_a_list_of_names_is_a_part_of_a_sentence(names, text):
 def test_a_list_of_sentences_names_how_many_are_left_out():
     assert listed(["a", "b"], 2) == "a; b"
     assert listed(["a", "b", "c", "d"], 2) == "a; b; and 2 more"
+
+
+@each(
+    ("word", "near"),
+    [
+        ("ALPHA", ["alpha"]),
+        ("alpah", ["alpha"]),
+        ("atitude", ["ATTITUDE", "ALTITUDE"]),
+        ("Bravo1", ["Bravo"]),
+        ("zz", []),
+    ],
+)
+def test_a_name_in_another_case_is_near(word: str, near: list[str]) -> None:
+    assert near_names(word, iter(["alpha", "Bravo", "ATTITUDE", "ALTITUDE"])) == near

@@ -191,7 +191,8 @@ class OutcomeLines:
         message = outcome["message"] or outcome["result"]
         first = self._first_with.setdefault(message, name)
         if first != name and len(message) > LONG_REASON:
-            message = f"{message.partition(';')[0][:LONG_REASON]} … as {first}"
+            begin = textwrap.shorten(message.partition(";")[0], LONG_REASON, placeholder="")
+            message = min(message, f"{begin} … as {first}", key=len)
         sent = outcome["attempts"]
         if sent:  # 0: nothing was sent
             how = f"{outcome['elapsed_s']:.1f} s" + (f", {sent} transmissions" if sent > 1 else "")

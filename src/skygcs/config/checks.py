@@ -192,7 +192,7 @@ def _message_problem(message: str | int, dialect: Dialect) -> str | None:
     try:
         dialect.find(message)
     except KeyError:
-        near = near_names(message.upper(), dialect.by_name, n=1)
+        near = near_names(message, dialect.by_name, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
         return f"the dialect has no message {message}{hint}"
     return None

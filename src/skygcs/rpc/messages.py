@@ -216,9 +216,8 @@ def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
     try:
         return dialect.find(name)
     except KeyError as error:
-        close = near_names(str(name).upper(), dialect.by_name, n=3)
-        hint = f"did you mean {', '.join(close)}?" if close else "messages.list lists them"
-        raise InvalidParams((param, f"{error.args[0]}; {hint}")) from None
+        text: str = error.args[0]
+        raise InvalidParams((param, text if text.endswith("?") else f"{text}; messages.list lists them")) from None
 
 
 def _check_command(dialect: Dialect, command: str | int) -> None:
@@ -303,7 +302,7 @@ def _entry(dialect: Dialect, enum: str, name: str) -> int:
     except KeyError as error:
         known = list(dialect.enums.get(enum, {}).values())
         close = [entry for entry in known if entry.endswith(f"_{name.upper()}")]
-        close = close or near_names(name.upper(), known, n=3)
+        close = close or near_names(name, known, n=3)
         raise ValueError(error.args[0] + (f"; did you mean {', '.join(close)}?" if close else "")) from None
 
 

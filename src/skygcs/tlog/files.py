@@ -27,6 +27,14 @@ PROGRESS_STEP_BYTES = 1 << 20
 
 KIND_NAMES = {"tlog": "tlog", "raw": "raw capture"}
 
+OTHER_FILES = {
+    b"ULog\x01\x12\x35": "a log that a PX4 wrote on board; PlotJuggler and Flight Review read it",
+    b"\xa3\x95\x80\x80": "a log that an ArduPilot wrote on board; Mission Planner and MAVExplorer read it",
+    b"\x1f\x8b": "packed; unpack it with gunzip",
+    b"PK\x03\x04": "packed; unpack it with unzip",
+}
+"""Other files that lie beside tlogs, by the bytes they begin with."""
+
 PART_SUFFIX = ".part"
 """Suffix of a file while it is written."""
 
@@ -103,7 +111,7 @@ class LogFile:
         self.size = len(data)
         kind: LogKind | None = sniff(data, dialect) or ("tlog" if path.suffix.lower() == ".tlog" and data else None)
         if kind is None:
-            raise _no_mavlink(path)
+            raise _no_mavlink(path, data)
         self.kind: LogKind = kind
         self._data = data
 
@@ -126,7 +134,7 @@ class LogFile:
             progress.stop()
             self.faults = reader.faults
         if empty:
-            raise _no_mavlink(self.path)
+            raise _no_mavlink(self.path, self._data)
 
     def selected(self, selection: Selection) -> Iterator[LogEntry]:
         """The entries that match. Raises SkygcsError as `check_times` does."""
@@ -149,9 +157,11 @@ def note(text: str) -> None:
     print(f"note: {visible(text)}", file=sys.stderr)
 
 
-def _no_mavlink(path: Path) -> SkygcsError:
-    fault = "no MAVLink in it, neither as a tlog nor as a raw capture" if path.stat().st_size else "it is empty"
-    return SkygcsError(f"{path}: {fault}")
+def _no_mavlink(path: Path, data: ByteSource) -> SkygcsError:
+    head = data[:8]
+    other = next((what for mark, what in OTHER_FILES.items() if head.startswith(mark)), None)
+    fault = "no MAVLink in it, neither as a tlog nor as a raw capture" if head else "it is empty"
+    return SkygcsError(f"{path}: {fault}{(other and f': it is {other}') or ''}")
 
 
 @contextmanager

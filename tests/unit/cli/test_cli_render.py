@@ -190,6 +190,16 @@ def test_a_long_reason_that_many_share_is_reported_once_per_reason() -> None:
     assert render.outcome_lines({"a": short, "b": short}) == ["FAIL a  denied", "FAIL b  denied"]
 
 
+def test_a_shared_reason_is_cut_between_words_and_only_where_that_is_shorter() -> None:
+    reason = "refused: it is heard only in a recording and cannot take orders"
+    for rest, second in (
+        ("", reason),
+        (" from here", "refused: it is heard only in a recording and cannot take … as a"),
+    ):
+        answer = outcome(ok=False, message=reason + rest, attempts=0)
+        assert render.outcome_lines({"a": answer, "b": answer}) == [f"FAIL a  {reason}{rest}", f"FAIL b  {second}"]
+
+
 def test_on_a_terminal_long_lines_are_wrapped_between_words_below_their_text() -> None:
     modes = ", ".join(f"AUTO.MODE{i}" for i in range(30))
     lines = render.outcome_lines({"alpha": outcome(ok=False, message=f"no; {modes}", attempts=0)}, 60)[0].splitlines()

@@ -17,6 +17,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
+from skygcs.spelling import near_names
+
 STRUCT_CODE = {
     "char": "c",
     "int8_t": "b",
@@ -319,7 +321,9 @@ class Dialect:
                 group_values = name_or_id.upper()
                 info = next((m for n, m in self.by_name.items() if n.upper() == group_values), None)
         if info is None:
-            raise KeyError(f"dialect {self.name} has no message {name_or_id!r}")
+            near = near_names(str(name_or_id), self.by_name)
+            hint = f"; did you mean {', '.join(near)}?" if near else ""
+            raise KeyError(f"dialect {self.name} has no message {name_or_id!r}{hint}")
         return info
 
     def enum_value(self, enum: str, name: str) -> int:

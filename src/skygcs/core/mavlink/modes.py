@@ -281,7 +281,7 @@ def _unknown(name: str, known: tuple[str, ...]) -> str:
             f"skygcs does not know the modes of this type of vehicle, so not {name!r} either; a raw command "
             "(DO_SET_MODE) sets one by its number"
         )
-    near = near_names(name.upper(), known, n=3, cutoff=0.5)
+    near = near_names(name, known, n=3, cutoff=0.5)
     if near:
         return f"no mode {name!r}; did you mean {', '.join(near)}?"
     return f"no mode {name!r}; there are {', '.join(known)}"

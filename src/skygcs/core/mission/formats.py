@@ -37,8 +37,8 @@ class _Line:
     seven: tuple[float | None, ...]
 
 
-def read_wpl(text: str, source: str) -> MissionPlan:
-    """Raises PlanFileError with the line."""
+def read_wpl(text: str, source: str) -> tuple[MissionPlan, tuple[str, ...]]:
+    """(plan, notes for the user). Raises PlanFileError with the line."""
     lines = text.splitlines()
     header = lines[0].split() if lines else []
     if header[:2] != HEADER.split():
@@ -55,7 +55,8 @@ def read_wpl(text: str, source: str) -> MissionPlan:
     first_is_home = bool(parsed) and _is_home(parsed[0])
     if first_is_home:
         home = _home(parsed[0], source)
-    return _plan(parsed[first_is_home:], home, source, jumps=0 if first_is_home else 1)
+    plan = _plan(parsed[first_is_home:], home, source, jumps=0 if first_is_home else 1)
+    return plan, () if first_is_home or not plan.mission else _perhaps_home(parsed[0])
 
 
 def write_wpl(plan: MissionPlan, kind: MissionType) -> str:
@@ -103,6 +104,15 @@ def _check_numbers(lines: list[_Line], source: str) -> None:
 
 def _is_home(line: _Line) -> bool:
     return line.item.command == mav_cmd.NAV_WAYPOINT and line.item.frame == GLOBAL
+
+
+def _perhaps_home(line: _Line) -> tuple[str, ...]:
+    """Note about a first line that another program would take for home: ArduPilot's own missions have such lines too,
+    with home's height above the sea in a frame of heights above home."""
+    if line.item.command != mav_cmd.NAV_WAYPOINT:
+        return ()
+    kept = f"line {line.number} is flown to: a waypoint in frame {line.item.frame} is not taken for home"
+    return (f"{kept}. Mission Planner and MAVProxy keep home in this line; if it is home, give it frame {GLOBAL}",)
 
 
 def _home(line: _Line, source: str) -> PlannedHome | None:
@@ -174,11 +184,12 @@ def read_plan(content: bytes, source: str) -> Imported:
         raise PlanFileError(source, f"line {line}", "is not UTF-8 text") from None
     start = text.lstrip()
     if start.startswith(HEADER):
-        return Imported(read_wpl(start, source), "wpl")
+        plan, notes = read_wpl(start, source)
+        return Imported(plan, "wpl", notes)
     if start.startswith("{"):
         plan, notes = read_qgc(text, source)
         return Imported(plan, "plan", notes)
-    wanted = f'a QGroundControl plan (JSON) nor "{HEADER} 110"'
+    wanted = f'a QGroundControl plan (JSON) nor "{HEADER} 110": save it as one of these in the program that wrote it'
     raise PlanFileError(source, "line 1", f"is neither {wanted}" if start else "the file is empty")
 
 

@@ -52,7 +52,8 @@ _NEWER = re.compile(rf"MAV(\d)_({'|'.join(_STREAMS)})")
 _PATTERNS: tuple[tuple[Sort, str], ...] = (
     ("identity", r"SYSID_THISMAV|MAV_SYSID|MAV_SYS_ID|MAV_COMP_ID|BRD_SERIAL_NUM"),
     ("statistics", r"STAT_.*|_HASH_CHECK|LND_FLIGHT_T_(HI|LO)|COM_FLIGHT_UUID|(MIS|FENCE|RALLY)_TOTAL|FORMAT_VERSION"),
-    ("statistics", r"SYSID_SW_(MREV|TYPE)|LOG_LASTFILE|(BARO|GND)\d?_(GND_PRESS|ABS_PRESS|TEMP)|BARO\d_GND_PRESS"),
+    ("statistics", r"SYSID_SW_(MREV|TYPE)|SYS_NUM_RESETS|CMD_(TOTAL|INDEX)|LOG_LASTFILE"),
+    ("statistics", r"(BARO|GND)\d?_(GND_PRESS|ABS_PRESS\d?|TEMP)"),
     ("calibration", r"COMPASS_(OFS|DIA|ODI|MOT|SCALE)\d?(_[XYZ])?|COMPASS_(DEV_ID\d?|PRIO\d_ID|DEC)"),
     ("calibration", r"INS_?(ACC|GYR)\d?_?(OFFS|SCAL|ID|CALTEMP)(_[XYZ])?|INS\d?_?(ACC|GYR)\d?OFFS_[XYZ]|INS_TCAL.*"),
     ("calibration", r"INS\d_(ACC|GYR)(OFFS|SCAL)?_(X|Y|Z|ID)|AHRS_TRIM_[XYZ]|(ARSPD|BARO)\d?_(OFFSET|DEVID)"),

@@ -325,6 +325,22 @@ def test_a_file_that_begins_with_an_item_numbers_its_jumps_from_zero() -> None:
     assert plan.mission[1].params[0] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("rows", "noted"),
+    [
+        (("0 1 3 16 0 0 0 0 43.78 -79.46 343 1", "1 0 3 16 0 0 0 0 43.79 -79.46 50 1"), True),
+        (("0 1 3 22 0 0 0 0 0 0 10 1", "1 0 3 16 0 0 0 0 43.79 -79.46 50 1"), False),
+        ((HOME_ROW, "1 0 3 16 0 0 0 0 43.79 -79.46 50 1"), False),
+        (("0 1 0 16 0 0 0 0 0 0 0 1", "1 0 3 16 0 0 0 0 43.79 -79.46 50 1"), False),
+        (("0 1 3 5001 3 0 0 0 1 1 0 1", "1 0 3 5001 3 0 0 0 1 2 0 1", "2 0 3 5001 3 0 0 0 2 2 0 1"), False),
+    ],
+)
+def test_a_first_waypoint_that_other_programs_take_for_home_is_noted(rows: tuple[str, ...], noted: bool) -> None:
+    imported = read_plan(wpl(*rows), "a.txt")
+    assert any("line 2 is flown to" in note for note in imported.notes) == noted
+    assert len(imported.notes) == noted
+
+
 def test_a_first_waypoint_that_looks_like_home_stays_an_item() -> None:
     plan = MissionPlan(mission=(MissionItem.from_params(16, 0, (0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 300.0), True),))
     assert read_plan(write_plan(plan, "a.txt").encode(), "a.txt").plan == plan

@@ -26,7 +26,7 @@ def waypoint(command: int, frame: int, x: float, y: float, z: float, **params: f
 def test_waypoints_are_a_file_that_is_read_as_they_were() -> None:
     items = [waypoint(22, 3, 43.1, -79.1, 10), waypoint(16, 3, 43.2, -79.2, 20, param4=math.nan)]
     for first, pushed in ((False, items), (True, [waypoint(16, 0, 43.0, -79.0, 180), *items])):
-        plan = read_wpl(services.wpl_text(pushed, first), "pushed")
+        plan, _ = read_wpl(services.wpl_text(pushed, first), "pushed")
         found = plan.items(MissionType.MISSION)
         assert [item.command for item in found] == [22, 16]
         assert found[1].seven[4:] == pytest.approx((43.2, -79.2, 20))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import threading
@@ -171,6 +172,29 @@ def test_a_file_that_is_no_log_says_so(tmp_path: Path, content: bytes, suffix: s
     path.write_bytes(content)
     with pytest.raises(SkygcsError, match=r"x\.\w+: no MAVLink in it" if content else "it is empty"):
         print_info([path])
+
+
+@each(
+    ("content", "what"),
+    [
+        (b"ULog\x01\x12\x35\x01" + bytes(200), "a PX4 wrote on board"),
+        (b"\xa3\x95\x80\x80" + bytes(200), "an ArduPilot wrote on board"),
+        (gzip.compress(b"a tlog " * 99, mtime=0), "gunzip"),
+        (b"PK\x03\x04" + bytes(200), "unzip"),
+    ],
+)
+@each("suffix", ["tlog", "bin"])
+def test_a_file_of_another_kind_is_named(tmp_path: Path, content: bytes, what: str, suffix: str) -> None:
+    path = tmp_path / f"x.{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(SkygcsError, match=f"no MAVLink in it, .*: it is .*{what}"):
+        print_info([path])
+
+
+def test_a_message_that_the_dialect_lacks_comes_with_those_near_it(tmp_path: Path) -> None:
+    path = tlog(tmp_path / "x.tlog", heartbeat())
+    found = CliRunner().invoke(app, ["tlog", "csv", str(path), "--message", "atitude"])
+    assert "did you mean ATTITUDE" in " ".join(found.output.split())
 
 
 def test_a_file_that_can_not_be_read_says_why(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ class FlightBook:
         armed = vehicle.armed
         if self._open is not None and (not armed or now - self._open.last_s > LONGEST_DARK_S):
             self._finish(whole=not armed)
-        if self._open is None and armed:
+        if self._open is None and armed and message == "HEARTBEAT":  # after a dark time it may be disarmed
             self._open = _OpenFlight(now, begun=self._armed_before is False)
         if self._open is not None:
             self._open.step(now, vehicle)

@@ -145,6 +145,16 @@ def test_a_recording_that_ends_in_the_air_is_a_flight_in_part_and_nothing_lasts_
     assert day.sources[0].lost == 0
 
 
+@each("armed", [True, False])
+def test_after_a_long_silence_a_flight_begins_with_a_heartbeat_that_says_so(armed: bool) -> None:
+    """It landed unheard; what came before its first heartbeat counted as a second flight."""
+    records = [(float(n), beat(1, n, armed=True)) for n in range(20)]
+    records += [(200.0 + n / 4, frame("ATTITUDE", {}, seq=20 + n)) for n in range(4)]
+    records += [(201.0 + n, beat(1, 24 + n, armed=armed)) for n in range(5)]
+    flights = vehicle(report_of(log(records)), 1).flights
+    assert [flight.begin_s - T0_US / 1e6 for flight in flights] == pytest.approx([0.0, 201.0] if armed else [0.0])
+
+
 def test_flights_are_bounded() -> None:
     records = [(n * 1.0, beat(1, n, armed=n % 4 in (1, 2))) for n in range(4 * MOST_FLIGHTS + 40)]
     report = report_of(log(records))
