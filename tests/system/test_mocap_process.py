@@ -49,11 +49,14 @@ class Heard:
     def __init__(self) -> None:
         self.frames: list[CaptureFrameData] = []
         self.delays: list[float] = []
+        self.reads: list[float] = []
+        """The time of each frame's read."""
         self.events: list[Event] = []
 
     def on_frame(self, frame: CaptureFrameData, now: float) -> None:
         self.frames.append(frame)
         self.delays.append(now - frame.at)
+        self.reads.append(now)
 
     def changes(self) -> list[str]:
         return [event.data["change"] for event in self.events]
@@ -108,7 +111,7 @@ async def test_a_recording_comes_through_and_ends(tmp_path: Path) -> None:
     heard = Heard()
     async with child(heard, type="recorded", file=file) as process:
         await until(lambda: process.state == "ended")
-        assert len(heard.frames) == 50
+        assert len(heard.frames) + process.skipped == 50
         assert all(set(frame.bodies) == {"a"} for frame in heard.frames)  # the others are not named
         assert min(heard.delays) > -0.01  # the clock of the process is that of the loop
         await until(lambda: heard.changes() == ["connected", "ended"])
@@ -118,7 +121,7 @@ async def test_a_recording_comes_through_and_ends(tmp_path: Path) -> None:
 async def test_a_system_that_stalls_is_killed_and_started_again(fake_package: None) -> None:
     heard = Heard()
     async with child(heard, type="vicon", host="10.0.0.5") as process:
-        await until(lambda: len(heard.frames) == 50)
+        await until(lambda: len(heard.frames) + process.skipped == 50)
         assert process.bad_lines == 0  # what libraries print goes elsewhere
         first = process.status()["pid"]
         process.tick(asyncio.get_running_loop().time() + 60.0)
@@ -143,6 +146,27 @@ async def test_what_the_system_says_is_reported_once(fake_package: None) -> None
         await until(lambda: process.restarts >= 2)
         assert heard.changes() == ["failed"]
         assert "qualisys at refused: no such host" in heard.events[0].text
+
+
+async def test_of_a_flood_the_newest_frames_are_taken_and_a_while_later() -> None:
+    """Each read of a full pipe had the loop for 40 ms, and all that it brought was too old by then."""
+    heard = Heard()
+    flood = f"""
+        import sys, time
+        from skygcs.ext.mocap.recording import frame_lines, state_line
+        bodies = {{f"b{{n}}": {BODY} for n in range(120)}}
+        sys.stdout.buffer.write(state_line("connected", "a flood"))
+        while True:
+            sys.stdout.buffer.write(b"".join(frame_lines(time.monotonic(), bodies)))
+    """
+    async with child(heard, [sys.executable, "-c", textwrap.dedent(flood)], type="vicon", host="h") as process:
+        await until(lambda: process.skipped > 1000)
+        assert process.state == "connected" and not process.bad_lines
+        # 120 bodies are two lines: each read brings every body, as its newest frame may have come in part
+        seen: dict[float, set[str]] = {}
+        for frame, read in zip(heard.frames, heard.reads, strict=True):
+            seen.setdefault(read, set()).update(frame.bodies)
+        assert {len(bodies) for bodies in list(seen.values())[2:-1]} == {120}
 
 
 async def test_a_process_that_writes_nonsense_is_not_believed() -> None:

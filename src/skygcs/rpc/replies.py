@@ -13,16 +13,27 @@ from typing import Any
 
 from pydantic_core import from_json, to_json, to_jsonable_python
 
+from skygcs.rpc.error_codes import LIMIT_EXCEEDED, PARSE_ERROR
 from skygcs.rpc.json_lines import ANSWER
 
 LEAST_DIGITS = 309
 """A number without an exponent is beyond the range of a float (1.8e308) only with so many digits."""
+
+MOST = {"lists and objects": (b"[{", 20_000), "keys": (b":", 20_000), "values": (b",", 150_000)}
+"""Marks outside of texts, and how many of them a request may have. The longest trajectory (2000 pieces of degree 15
+with yaw) has 10,000 lists and objects, 10,000 keys, and 140,000 values. 1 MiB of brackets takes 180 ms to parse,
+110,000 keys take 80 ms: the tick of a vehicle that is flown would wait so long. Within these bounds it is 20 ms, with
+numbers of 4000 digits 30 ms."""
 
 _TO_ZERO = bytes(ord("0") if chr(byte).isdigit() and byte < 128 else byte for byte in range(256))
 _LONG_NUMBER = b"0" * LEAST_DIGITS
 
 _STRING = re.compile(rb'"([^"]*)"[ \t\r\n]*(:?)')
 """A string without escapes, and the colon after it if it is a key."""
+
+
+class TooManyValuesError(ValueError):
+    """A request has more values than any that is meant seriously; it is not parsed."""
 
 
 class NotJsonError(ValueError):
@@ -106,6 +117,38 @@ def parse(line: bytes) -> Any:
     if _may_overflow(line) and _has_infinity(value):
         raise ValueError("a number in it is too large: 1.79e308 at most")
     return value
+
+
+def parse_request(line: bytes) -> Any:
+    """`parse` of what a client asks. Raises ValueError, TooManyValuesError among them."""
+    if len(line) > min(most for _, most in MOST.values()) and (why := _too_many(line)):
+        raise TooManyValuesError(why)
+    return parse(line)
+
+
+def unread(error: ValueError) -> tuple[int, str]:
+    """The code and the text of the answer to a line that `parse_request` refused."""
+    if isinstance(error, TooManyValuesError):
+        return LIMIT_EXCEEDED, str(error)
+    return PARSE_ERROR, f"not JSON: {error}"
+
+
+def _too_many(line: bytes) -> str:
+    """Which bound of `MOST` a line exceeds; "": none. 1 ms for 1 MiB; what is in texts is left out only where it
+    matters, in 2 ms, with 100,000 texts in 16 ms."""
+    outside = False
+    for what, (marks, most) in MOST.items():
+        if _count(line, marks) > most and not outside:
+            # a backslash is in texts only: without escapes every second part is outside of them
+            line = b"".join(line.replace(rb"\\", b"").replace(rb"\"", b"").split(b'"')[::2])
+            outside = True
+        if _count(line, marks) > most:
+            return f"a line has at most {most} {what}"
+    return ""
+
+
+def _count(line: bytes, marks: bytes) -> int:
+    return sum(line.count(mark) for mark in marks)
 
 
 def _may_overflow(line: bytes) -> bool:

@@ -30,7 +30,7 @@ from skygcs.rpc.dispatch import Dispatcher, Encoded, InvalidParams, LimitExceede
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import SubscribeParams
 from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
-from skygcs.rpc.replies import error_reply, key_twice, parse
+from skygcs.rpc.replies import error_reply, key_twice, parse_request, unread
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription
 
@@ -276,10 +276,10 @@ class Session(ClientPeer):
         """Parse a line and begin what it asks for; None where it is answered already, or not at all."""
         self._hub.counters["lines"] += 1
         try:
-            request = parse(line)
+            request = parse_request(line)
         except ValueError as error:
             self._hub.counters["parse_errors"] += 1
-            self.reply(error_reply(None, error_codes.PARSE_ERROR, f"not JSON: {error}"))
+            self.reply(error_reply(None, *unread(error)))
             if not self.authenticated:
                 self._hang_up()
             return None

@@ -43,6 +43,9 @@ in the backlog."""
 GOODBYE_S = 1.0
 """Seconds for the other side to close TLS."""
 
+NO_HTTP_QUIET_S = 60.0
+"""Between two lines of the log about what came that is no HTTP; those between are counted."""
+
 NO_DESCRIPTORS_S = 0.5
 """Before the next attempt to accept, when the process has no descriptor left."""
 
@@ -81,6 +84,10 @@ class BrowserConnections:
     def __init__(self, new_handler: Callable[[], RequestHandler], limit: int = MAX_CONNECTIONS) -> None:
         self.refused = 0
         """Those for which another one was closed, and those that were closed themselves."""
+        self.no_http = 0
+        """Requests that were no HTTP."""
+        self._said_no_http = 0
+        self._say_no_http = TokenBucket(1.0 / NO_HTTP_QUIET_S, 1.0, asyncio.get_running_loop().time())
         self._new_handler = new_handler
         self._limit = limit
         self._loop = asyncio.get_running_loop()
@@ -156,6 +163,13 @@ class BrowserConnections:
         place = self._places.get(handler)
         if place is not None:
             place.websocket = True
+
+    def report_no_http(self, address: str, wrong: str) -> None:
+        """Count what came from there and is no HTTP, and log it once in a while."""
+        self.no_http += 1
+        if self._say_no_http.take(self._loop.time()):
+            count, self._said_no_http = self.no_http - self._said_no_http, self.no_http
+            _log.warning("what came is no HTTP", address=address, wrong=wrong, count=count)
 
     def sweep(self, now: float) -> None:
         """Close those that have shown nothing for too long."""

@@ -214,7 +214,7 @@ class HttpServer:
     def _new_handler(self) -> RequestHandler:
         server = self._runner.server
         assert server is not None
-        return PacedHandler(server, self._unknown)
+        return PacedHandler(server, self._unknown, on_no_http=self.connections.report_no_http)
 
     async def _sweep(self) -> None:
         while True:

@@ -19,6 +19,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from aiohttp.http_exceptions import HttpProcessingError
+from aiohttp.web import BaseRequest, StreamResponse
 from aiohttp.web_protocol import RequestHandler
 from aiohttp.web_server import Server
 
@@ -68,12 +70,19 @@ class Lane:
 
 class PacedHandler(RequestHandler):
     """aiohttp's protocol of one connection, in a ``lane`` until it joins another one. ``clock``: CPU time of this
-    thread."""
+    thread. ``on_no_http`` is called with the address and what is wrong when something else than HTTP comes."""
 
-    def __init__(self, server: Server, lane: Lane, clock: Callable[[], float] = time.thread_time) -> None:
+    def __init__(
+        self,
+        server: Server,
+        lane: Lane,
+        clock: Callable[[], float] = time.thread_time,
+        on_no_http: Callable[[str, str], None] = lambda address, wrong: None,
+    ) -> None:
         loop = asyncio.get_running_loop()
         super().__init__(server, loop=loop, **server._kwargs)
         self.lane = lane
+        self._on_no_http = on_no_http
         self._busy = False
         """True if it counts as busy in its lane."""
         self._turns = loop
@@ -89,6 +98,24 @@ class PacedHandler(RequestHandler):
         self.lane.busy -= self._busy
         self.lane = lane
         self.lane.busy += self._busy
+
+    def handle_error(
+        self,
+        request: BaseRequest,
+        status: int = 500,
+        exc: BaseException | None = None,
+        message: str | None = None,
+    ) -> StreamResponse:
+        """Answer what cannot be served, and report what is no HTTP."""
+        if isinstance(exc, HttpProcessingError):
+            # by its class alone: aiohttp's text quotes the bytes that came, an address with its token among them
+            self._on_no_http(str(request.remote), type(exc).__name__)
+        return super().handle_error(request, status, exc, message)
+
+    def log_exception(self, *what: Any, **how: Any) -> None:
+        """Log a fault of ours with its traceback. What a client sent wrong is none."""
+        if not isinstance(how.get("exc_info"), HttpProcessingError):
+            super().log_exception(*what, **how)
 
     def data_received(self, data: bytes) -> None:
         """Take what has come. aiohttp calls it without data, to go on with what it holds."""

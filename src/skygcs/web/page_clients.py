@@ -26,13 +26,12 @@ from skygcs.rpc.error_codes import (
     LIMIT_EXCEEDED,
     METHOD_NOT_FOUND,
     NOT_PERMITTED,
-    PARSE_ERROR,
     REFUSED,
     TOO_LATE,
 )
 from skygcs.rpc.json_lines import EVENT_START, notification
 from skygcs.rpc.order_reports import REPORT
-from skygcs.rpc.replies import encode, error_reply, parse, reply_of
+from skygcs.rpc.replies import encode, error_reply, parse_request, reply_of, unread
 from skygcs.web.fleet_digest import View
 from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ, access, may
@@ -361,9 +360,9 @@ class PageClient:
         # parse; a malformed message is refused
         received_at = self._loop.time()
         try:
-            request = parse(text.encode() if isinstance(text, str) else text)
+            request = parse_request(text.encode() if isinstance(text, str) else text)
         except ValueError as error:
-            self._refuse(None, PARSE_ERROR, f"not JSON: {error}")
+            self._refuse(None, *unread(error))
             return
         if not isinstance(request, dict) or not isinstance(request.get("method"), str):
             self._refuse(None, INVALID_REQUEST, "a message is one JSON-RPC request")

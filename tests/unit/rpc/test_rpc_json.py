@@ -17,12 +17,23 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 import skygcs.rpc
+from skygcs.core.trajectory.piecewise import MAX_DEGREE
 from skygcs.rpc import replies
-from skygcs.rpc.dispatch import Dispatcher, Method
-from skygcs.rpc.error_codes import INTERNAL_ERROR
-from skygcs.rpc.json_lines import id_of
+from skygcs.rpc.dispatch import MAX_MEMBERS, Dispatcher, Method
+from skygcs.rpc.error_codes import INTERNAL_ERROR, LIMIT_EXCEEDED
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.models import MethodParams, NoParams
-from skygcs.rpc.replies import NotJsonError, encode, error_reply, parse, reply_of
+from skygcs.rpc.replies import (
+    NotJsonError,
+    TooManyValuesError,
+    encode,
+    error_reply,
+    parse,
+    parse_request,
+    reply_of,
+    unread,
+)
+from skygcs.runtime.trajectories import MAX_PIECES
 from support.asked import asked
 from support.loops import on_every_loop
 from support.table import each
@@ -191,3 +202,48 @@ async def test_an_outcome_with_nan_is_reported_as_json(tmp_path: Path) -> None:
     async with asked(tmp_path) as gcs:
         gcs._session.notify("order.outcome", {"outcome": {"radius_m": math.nan}})
         assert gcs.notices[-1]["params"] == {"outcome": {"radius_m": None}}
+
+
+SERIOUS = {
+    "the longest trajectory": [
+        {"duration_s": 1.5} | {axis: [1] * (MAX_DEGREE + 1) for axis in ("x", "y", "up", "yaw")}
+        for _ in range(MAX_PIECES)
+    ],
+    "a file in a text": {"text": '[{"\\"a\\\\": [1, 2, 3]}]' * 50_000},
+    "all parameters": {f"P{n}": n for n in range(MAX_MEMBERS)},
+}
+
+
+@pytest.mark.parametrize("params", SERIOUS.values(), ids=SERIOUS)
+def test_what_is_meant_seriously_is_read(params: object) -> None:
+    assert parse_request(json.dumps(params, separators=(",", ":")).encode()) == params
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (b"[" * 150 + b"]" * 150, "lists and objects"),
+        (b"{},", "lists and objects"),
+        (b"[[0,0],[1,1]],", "lists and objects"),
+        (b"0,", "values"),
+        (b'"x":1 ,', "keys"),
+        (b'"\\\\":"\\"" ,', "keys"),
+    ],
+)
+def test_a_request_of_too_many_values_is_refused_unread(
+    line: bytes, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A megabyte of them held the loop, and with it the ticks of vehicles that were flown, for 30 to 200 ms."""
+    monkeypatch.setattr(replies, "from_json", lambda *_, **__: pytest.fail("it was parsed"))
+    with pytest.raises(TooManyValuesError, match=named) as raised:
+        parse_request(line * (MAX_LINE_BYTES // len(line)))
+    assert unread(raised.value)[0] == LIMIT_EXCEEDED
+
+
+@given(ANY)
+def test_marks_in_texts_count_for_nothing(value: object) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(replies, "MOST", {"values": (b",[{:", 100)})
+        line = json.dumps(value).encode()
+        text = json.dumps(line.decode() * 30).encode()
+        assert parse_request(text) == line.decode() * 30

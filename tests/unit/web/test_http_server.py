@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 from aiohttp import WSMessage, WSMsgType
+from structlog.testing import capture_logs
 
 from skygcs.config.allow_list import allow_list
 from skygcs.web import http_server
+from skygcs.web.browser_connections import NO_HTTP_QUIET_S
 from skygcs.web.http_server import HttpServer, _read, cookie_value
 from skygcs.web.paced_handler import Lane, pause_after_s
 from skygcs.web.request_limits import READ_AHEAD_S, READ_MESSAGES_PER_S, PageLimits
@@ -183,3 +185,41 @@ async def test_requests_of_who_may_not_order_are_answered_by_what_they_cost(
     _, transport = await server.asked(cookie, body=more * 30)
     answered = transport.written.count(b"HTTP/1.1 ")
     assert answered == 31 if role == "command" else answered <= 2 + 1.0 / pause_after_s(0.01)
+
+
+@pytest.mark.parametrize(
+    "request_line",
+    [
+        "GET /?token=secret HTTP/1.1\nX: y",
+        "\x16\x03\x01",
+        "GET /?token=secret HTTP/9.9",
+        "GET /?token=secret\x00 HTTP/1.1",
+    ],
+)
+async def test_what_is_no_http_is_counted_and_its_bytes_stand_in_no_log(
+    tmp_path: Path, request_line: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """aiohttp logs a traceback that quotes the line, with the token of a page that is still to be opened."""
+    server = Server(tmp_path)
+    await server.http._runner.setup()
+    with capture_logs() as lines:
+        for _ in range(50):
+            handler, transport = server.http._new_handler(), Transport()
+            handler.connection_made(transport)
+            handler.data_received(f"{request_line}\r\nHost: 127.0.0.1:8750\r\n\r\n".encode())
+            await asyncio.sleep(0.1)
+            assert re.match(rb"HTTP/1.0 400 ", transport.written) and transport.closed
+        await asyncio.sleep(NO_HTTP_QUIET_S)
+        server.http.connections.report_no_http("127.0.0.1", "BadStatusLine")
+    assert server.http.connections.no_http == 51
+    assert [line["count"] for line in lines] == [1, 50]
+    assert not caplog.records and "secret" not in str(lines)
+
+
+async def test_a_fault_of_ours_is_logged_with_its_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    server = Server(tmp_path)
+    server.http._assets = None  # type: ignore[assignment]
+    value = server.sign_in.exchange(server.sign_in.issue("view", 0.0), 0.0, lambda: True)
+    _, transport = await server.asked(f"Cookie: {server.http.cookie_name}={value}\r\n")
+    assert re.match(rb"HTTP/1.1 500 ", transport.written)
+    assert "AttributeError" in caplog.text and server.http.connections.no_http == 0

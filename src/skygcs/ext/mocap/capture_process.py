@@ -8,7 +8,8 @@
     connected   for STEADY_S                                   the next pause is the first one again
     ended       a recording was played to its end              nothing more
 
-The daemon reads its lines without waiting for it; a line has a bound.
+The daemon reads its lines without waiting for it; a line has a bound. Of frames that wait only the newest are taken: a
+system that sends thousands a second would have the loop for 40 ms at a time, and what it sends would be too old.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from skygcs.cancellation import carried_through
 from skygcs.child_process import start_process
 from skygcs.events import Event
 from skygcs.ext.mocap.config import MocapConfig
-from skygcs.ext.mocap.recording import MAX_LINE_BYTES, CaptureFrameData, CaptureState, parse_line
+from skygcs.ext.mocap.recording import BODIES, MAX_LINE_BYTES, CaptureFrameData, CaptureState, parse_line
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 STEADY_S = 30.0
@@ -38,6 +39,16 @@ END_S = 1.0
 """From the end of its output to its own."""
 
 STDERR_BYTES = 4096
+
+READ_BYTES = 1 << 16
+"""A pipe of Linux holds so much: frames of two bodies for three seconds at 200 Hz."""
+
+TAKEN_BYTES, LEAST_FRAMES = 1 << 14, 2
+"""Bytes of one read that are taken, 10 ms of the loop: 140 frames of two bodies, ten of 35. The newest frame may have
+come in part, so the one before it is taken, too."""
+
+FLOOD_PAUSE_S = 0.02
+"""From a read with frames that were not taken to the next one."""
 
 OnFrame = Callable[[CaptureFrameData, float], None]
 
@@ -58,6 +69,8 @@ class CaptureProcess:
         self.text = ""
         self.restarts = 0
         self.bad_lines = 0
+        self.skipped = 0
+        """Lines of frames that were not taken, as newer ones had come."""
         self._command = command or [sys.executable, "-P", "-m", "skygcs.ext.mocap.worker", *arguments(config)]
         self._loop = loop
         self._on_frame = on_frame
@@ -114,6 +127,7 @@ class CaptureProcess:
             "pid": None if process is None or process.returncode is not None else process.pid,
             "restarts": self.restarts,
             "bad_lines": self.bad_lines,
+            "skipped_lines": self.skipped,
         }
 
     async def _run_once(self) -> str | None:
@@ -147,23 +161,30 @@ class CaptureProcess:
     async def _read(self, process: asyncio.subprocess.Process) -> bool:
         """Read its lines; True at their end, False if it has to be killed."""
         assert process.stdout is not None
-        while True:
-            try:
-                line = await process.stdout.readline()
-            except ValueError:  # longer than any line: it writes something else
+        rest = b""
+        while data := await process.stdout.read(READ_BYTES):
+            *lines, rest = (rest + data).split(b"\n")
+            now = self._heard_at = self._loop.time()
+            taken = newest_frames(lines)
+            for line in taken:
+                self._on_line(line, now)
+            if len(rest) > MAX_LINE_BYTES:  # longer than any line: it writes something else
                 self.bad_lines += 1
                 self._why_killed = "its process writes a line that is not poses"
                 return False
-            if not line:
-                return True
-            now = self._heard_at = self._loop.time()
-            match parse_line(line):
-                case None:
-                    self.bad_lines += 1
-                case CaptureState() as said:
-                    self._on_state(said, now)
-                case frame:
-                    self._on_frame(frame, now)
+            if len(taken) < len(lines):
+                self.skipped += len(lines) - len(taken)
+                await asyncio.sleep(FLOOD_PAUSE_S)
+        return True
+
+    def _on_line(self, line: bytes, now: float) -> None:
+        match parse_line(line):
+            case None:
+                self.bad_lines += 1
+            case CaptureState() as said:
+                self._on_state(said, now)
+            case frame:
+                self._on_frame(frame, now)
 
     def _on_state(self, said: CaptureState, now: float) -> None:
         self.state, self.text = said.state, said.text
@@ -200,6 +221,21 @@ async def _last_of(stream: asyncio.StreamReader | None) -> str:
     while stream is not None and (part := await stream.read(STDERR_BYTES)):
         text = (text + part)[-STDERR_BYTES:]
     return text.decode(errors="replace").strip().rpartition("\n")[2][:300]
+
+
+def newest_frames(lines: list[bytes]) -> list[bytes]:
+    """All of these lines but those of older frames, beyond `TAKEN_BYTES`. A frame of many bodies has several lines with
+    one time, which stay together."""
+    taken: list[bytes] = []
+    times: set[bytes] = set()
+    size = 0
+    for line in reversed(lines):
+        time, is_frame, _ = line.partition(BODIES)
+        size += len(line)
+        if not is_frame or time in times or size <= TAKEN_BYTES or len(times) < LEAST_FRAMES:
+            taken.append(line)
+            times.add(time)
+    return taken[::-1]
 
 
 def arguments(config: MocapConfig) -> list[str]:

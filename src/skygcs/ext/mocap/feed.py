@@ -242,7 +242,7 @@ class MocapFeed:
         self.capture.tick(now)
         self.refresh()
         for fed in self._fed.values():
-            if fed.stream.lost(now):
+            if fed.stream.lost(now) and fed.was_problem != "lost":  # a body that comes and goes is reported once
                 text = f"poses of rigid body {fed.stream.body} have stopped; nothing is sent to it"
                 self._report(fed, "lost", text)
             elif fed.stream.filter.tracking and fed.was_problem == "lost":

@@ -50,6 +50,7 @@ class MocapStatus(Result):
     pid: int | None = Field(description="Of the capture process.")
     restarts: int
     bad_lines: int = Field(description="Lines of the capture process that were not understood.")
+    skipped_lines: int = Field(description="Lines that were not taken, as newer frames had come.")
     message: str
     rate_hz: float
     frames: int

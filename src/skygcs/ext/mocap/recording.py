@@ -28,6 +28,9 @@ MAX_BODIES = 255
 MAX_NAME = 128
 """Characters of a rigid body's name; longer ones are not taken."""
 
+BODIES = b', "bodies": {'
+"""Between the time of a frame and its bodies, in each line of it."""
+
 STATES = ("connecting", "connected", "failed", "ended")
 
 Body = tuple[Vector, Quaternion]
@@ -52,7 +55,7 @@ class CaptureState:
 def frame_lines(at: float, bodies: Mapping[str, Body | None]) -> list[bytes]:
     """A frame as lines of at most MAX_LINE_BYTES each, with their line ends; several for many bodies."""
     lines: list[bytes] = []
-    head = f'{{"t": {at:.6f}, "bodies": {{'.encode()
+    head = f'{{"t": {at:.6f}'.encode() + BODIES
     parts: list[bytes] = []
     size = 0
     for name, body in bodies.items():

@@ -67,7 +67,14 @@ class SimulatedCapture:
     def status(self) -> dict[str, Any]:
         """JSON-able; as that of the capture process."""
         state = "connecting" if self.cameras is None else "connected"
-        return {"state": state, "text": "simulated cameras", "pid": None, "restarts": 0, "bad_lines": 0}
+        return {
+            "state": state,
+            "text": "simulated cameras",
+            "pid": None,
+            "restarts": 0,
+            "bad_lines": 0,
+            "skipped_lines": 0,
+        }
 
     def _vehicles(self) -> dict[str, VehicleState]:
         links = [s.link for s in self._links.supervisors().values() if s.link.config.type == "simulated"]

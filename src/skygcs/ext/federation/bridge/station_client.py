@@ -48,7 +48,7 @@ from skygcs.rpc.dispatch import Dispatcher, Method, failure_reply, result_reply
 from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
 from skygcs.rpc.openrpc import document
 from skygcs.rpc.order_reports import OrderReports, wants_reports
-from skygcs.rpc.replies import encode, error_reply, parse
+from skygcs.rpc.replies import encode, error_reply, parse, parse_request, unread
 
 MAX_IN_FLIGHT = 64
 """Requests of one client in progress, as at the daemon."""
@@ -229,9 +229,9 @@ class StationClient(ClientPeer):
         if not concerns and self.daemon.write(line):
             return
         try:
-            request = parse(line)
+            request = parse_request(line)
         except ValueError as error:
-            self._to_daemon(line, error_reply(None, error_codes.PARSE_ERROR, f"not JSON: {error}"))
+            self._to_daemon(line, error_reply(None, *unread(error)))
             return
         try:
             self._on_request(request, line)
