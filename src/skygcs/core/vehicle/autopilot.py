@@ -295,7 +295,7 @@ def brake(vehicle: Vehicle, now: float) -> Plan:
         step = Step("pause", pause, expect=expect, instead=(step,))
     radius_m = vehicle.hold_radius_m(now)
     done = f"holding in {wanted}"
-    if able.circles and radius_m:
+    if able.circles and radius_m and vehicle.under_way(now):
         done = f"circling in {wanted}, {rounded(radius_m)} m about where it was"
     elif (danger := hazard(model_of(vehicle, now), number)) is not None:
         done = f"stopped; {danger}" + ("; land or rtl needs no sticks" if able.lands and able.returns else "")

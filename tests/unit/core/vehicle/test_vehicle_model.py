@@ -457,6 +457,12 @@ def test_what_cannot_stop_says_how_wide_it_circles() -> None:
     assert Shown(ARDUPILOT, PLANE, 10, WP_LOITER_RAD=1.0).vehicle.hold_radius_m(NOW) == 60.0  # Plane::update_loiter
     assert Shown(PX4, PLANE, 4 << 16 | 4 << 24).vehicle.hold_radius_m(NOW) == 80.0
     assert Shown(ARDUPILOT, PLANE, 19).vehicle.hold_radius_m(NOW) == 0.0  # on its rotors
+    standing = {kind: Shown(ARDUPILOT, kind, 5) for kind in (PLANE, VTOL)}
+    for shown in standing.values():
+        shown.hear(mav.MAVLink_extended_sys_state_message(0, 1))
+        assert orders.hold(shown.vehicle, NOW).done == "holding in LOITER"  # and not circling
+    assert standing[PLANE].vehicle.hold_radius_m(NOW) == 60.0  # it takes off into a circle
+    assert standing[VTOL].vehicle.hold_radius_m(NOW) == 0.0  # it rises on its rotors
     assert Shown(ARDUPILOT, QUADROTOR, 4).vehicle.hold_radius_m(NOW) == 0.0
 
 
