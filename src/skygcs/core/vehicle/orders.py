@@ -167,7 +167,7 @@ def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack
     frame (``enu_m``). ``force`` overrides the distance limit, its own fence's height and the ground check, never an
     impossible coordinate."""
     hovers = vehicle.family == "ardupilot" and vehicle.hovers(now)
-    if hovers and vehicle.param("Q_GUIDED_MODE") != 1.0 and not where.get("force"):
+    if hovers and not autopilot.stays_on_rotors(vehicle, now) and not where.get("force"):
         raise RefusedError(
             "it hovers, and in GUIDED it would fly on as a plane and circle there unless its Q_GUIDED_MODE is 1; it is "
             f"not known to be; {FORCE_HINT}"
