@@ -170,6 +170,15 @@ def test_a_vtol_rises_on_its_rotors_holds_and_lands(field: Field, figures: dict[
     field.wait(lambda: field.truth(name).speed_mps < 0.5, 30, "it stands in the air")
     if not px4:  # on its rotors GUIDED would fly it on as a plane
         assert "Q_GUIDED_MODE" in refusal(field, "vehicles.goto", enu_m=[0, 30, 20])
+        field.order("params.set", name, params={"Q_GUIDED_MODE": 1}, force=True)
+        field.order("vehicles.goto", name, enu_m=[0, 60, 20])
+        field.wait(lambda: field.truth(name).speed_mps > 2, 30, "it flies on its rotors")
+        assert field.order("vehicles.hold", name)[name]["message"] == "holding in GUIDED"
+        field.wait(lambda: field.truth(name).speed_mps < 0.5, 30, "it stands again")
+        field.holds(
+            lambda: field.truth(name).alt_rel_m > 15 and away_m(field, 0, 60) > 10, 10, "it holds without sticks"
+        )
+        field.order("params.set", name, params={"Q_GUIDED_MODE": 0}, force=True)
     else:
         field.order("vehicles.goto", name, enu_m=[0, 30, 20])
         figures["goto s"] = field.wait(lambda: away_m(field, 0, 30) < 3, 60, "it is there")

@@ -88,6 +88,35 @@ async def test_a_rover_that_is_disarmed_on_its_way_coasts_to_a_stop(tmp_path: Pa
         await gcs.done("vehicles.disarm")
         await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0)
         assert away_m(rover, 0, 60) > 30
+        # armed again it would drive on to its place; out of GUIDED and back it stands
+        assert "would drive on at once" in await refusal(gcs, "vehicles.arm")
+        stands = rover.motion.pos_enu_m
+        await gcs.done("vehicles.mode", mode="HOLD")
+        await gcs.done("vehicles.arm")
+        await asyncio.sleep(10)
+        assert rover.motion.pos_enu_m == stands
+        await gcs.done("vehicles.mode", mode="GUIDED")
+        await asyncio.sleep(10)
+        assert rover.motion.pos_enu_m == stands
+
+
+async def test_a_rover_that_is_made_to_arm_in_guided_drives_on(tmp_path: Path) -> None:
+    """ModeGuided::update goes on where it was (Rover/mode_guided.cpp)."""
+    async with flown(tmp_path, **EMPTY, others={"rover": 1}) as gcs:
+        rover = gcs.sims[0]
+        await gcs.done("vehicles.arm", wait_s=60.0)
+        await gcs.done("vehicles.goto", enu_m=[0, 60, 0])
+        await gcs.until(lambda: rover.motion.groundspeed_mps > 1.5)
+        await gcs.done("vehicles.disarm")
+        await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0)
+        await gcs.done("vehicles.arm", force=True)
+        await gcs.until(lambda: away_m(rover, 0, 60) <= rover.params["WP_RADIUS"], 60.0)
+
+
+async def test_a_heading_of_a_goto_is_refused_before_a_rover_drives_off(tmp_path: Path) -> None:
+    async with flown(tmp_path, **EMPTY, others={"rover": 1}) as gcs:
+        await gcs.done("vehicles.arm", wait_s=60.0)
+        assert "takes no heading; leave it out" in await refusal(gcs, "vehicles.goto", enu_m=[0, 60, 0], yaw_deg=90)
 
 
 async def test_an_arduplane_takes_off_to_its_own_height_goes_and_circles(tmp_path: Path) -> None:

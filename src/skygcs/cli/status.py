@@ -197,7 +197,6 @@ def status_cells(state: State) -> tuple[str, ...]:
     best = min(chosen or links, key=lambda name: _number(links[name].get("loss_ratio"), 1.0), default=None)
     texts: Sequence[Mapping[str, Any]] = state.get("status_texts") or ()
     newest = min(texts, key=lambda t: _number(t.get("age_s"), 0.0), default=None)
-    altitude = fixed(position.get("alt_rel_m"), 1, " m")
     return (
         str(state["name"]),
         str(state.get("site") or ""),
@@ -206,7 +205,7 @@ def status_cells(state: State) -> tuple[str, ...]:
         " ".join(filter(None, (state.get("autopilot"), state.get("firmware")))),
         state.get("mode") or "?",
         armed_word(state),
-        f"{altitude} ground".strip() if state.get("landed") == "on_ground" else altitude,
+        height_word(state),
         ", ".join(fixed(value, 1) for value in position.get("enu_m") or ()),
         " ".join(filter(None, (fixed(battery.get("percent"), 0, " %"), fixed(battery.get("volts"), 1, " V")))),
         " ".join(filter(None, (gps.get("fix"), fixed(gps.get("satellites"), 0, " sat")))),
@@ -216,6 +215,19 @@ def status_cells(state: State) -> tuple[str, ...]:
         age_word(state),
         f"{newest['text']} ({duration(newest.get('age_s'))} ago)" if newest is not None else "",
     )
+
+
+DRIVES = ("GROUND_ROVER", "SURFACE_BOAT")
+"""Types without a height: a Rover keeps a home of altitude 0 until it has moved (Rover::update_home), and so reports
+itself as high as the ground is above the sea."""
+
+
+def height_word(state: State) -> str:
+    """Return how high it is above its home, and that it is on the ground."""
+    altitude = fixed((state.get("position") or {}).get("alt_rel_m"), 1, " m")
+    if state.get("type") in DRIVES:
+        altitude = ""
+    return f"{altitude} ground".strip() if state.get("landed") == "on_ground" else altitude
 
 
 def armed_word(state: State) -> str:

@@ -57,6 +57,7 @@ _GOES = frozenset({"AUTO", "RTL", "LOITER", "TAKEOFF", "GUIDED", "CIRCLE", "THER
 PLANE_RULES = {
     mode.value: ModeRule(
         mode,
+        arms=mode.name != "RTL",
         autopilot=mode.name in _GOES,
         guided=mode.name in _GOES,
         by_command=mode.name not in ("THERMAL", "AVOID_ADSB"),
@@ -69,7 +70,7 @@ LAND_START = frozenset({mav_cmd.DO_LAND_START})
 PLANE = replace(
     COPTER,
     name="ArduPlane",
-    modes=Fact(PLANE_RULES, "ArduPlane/mode.h; mode.cpp: Mode::_pre_arm_checks (every fixed wing's mode arms)"),
+    modes=Fact(PLANE_RULES, "ArduPlane/mode.h: _pre_arm_checks (of a fixed wing RTL alone does not arm)"),
     idle_disarm=Fact(("", 0.0), "ArduPlane has no DISARM_DELAY: it stays armed on the ground until it has landed"),
     home_follows=Fact(
         HomeFollows(5.0, 0.0, 0.0),
@@ -114,8 +115,8 @@ class PlaneRun(CopterRun):
     """A mission as ArduPlane flies it: a take-off climbs out, a landing glides."""
 
     def why_not_auto(self, v: MissionVehicle) -> str:
-        """ModeAuto::_enter asks for a mission only (mission.num_commands() > 1)."""
-        return "" if v.lists.mission else "no mission"
+        """ModeAuto::_enter asks a QuadPlane only; see `PlaneVehicle.begin`."""
+        return ""
 
     def takeoff_mps(self, v: MissionVehicle) -> float | None:
         return 0.0
@@ -188,6 +189,9 @@ class PlaneVehicle(CourseVehicle):
             self._take_off()
         elif mode == PlaneMode.RTL and not self.landed and self.home is not None:
             self.fly_home()
+        elif mode == PlaneMode.AUTO and not self.lists.mission:  # Plane::exit_mission_callback
+            self.tx.say(m.MAV_SEVERITY_INFO, "Mission complete, changing mode to RTL")
+            self.enter(PlaneMode.RTL, now)
         elif mode == PlaneMode.AUTO and self.armed:
             self.run.begin(self, now)
         else:
@@ -238,4 +242,4 @@ class PlaneVehicle(CourseVehicle):
                 return super().command(c, now)
 
     def _mode_refusal(self) -> str | None:
-        return None
+        return None if self.mode_rule.arms else f"{self.mode_names(self.mode).name} mode not armable"

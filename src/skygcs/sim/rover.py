@@ -121,6 +121,8 @@ class RoverVehicle(CourseVehicle):
     boot_texts = ("ArduRover V4.6.3 (skygcs01)", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
     reaction_modes = _REACTION_MODES
     not_supported = frozenset({m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND, m.MAV_CMD_CONDITION_YAW})
+    guided_place: GoTo | None = None
+    """Where it was sent in GUIDED, which it has not left since: disarmed on its way and armed again it drives on."""
 
     @staticmethod
     def factory_params(sysid: int) -> Params:
@@ -157,7 +159,12 @@ class RoverVehicle(CourseVehicle):
         fastest = self.speed_mps or p["WP_SPEED"]
         return bounded_limits(fastest, p["ATC_ACCEL_MAX"], 1.0, 1.0, SIDE_MPS2 / max(1.0, fastest))
 
+    def go_to(self, east_m: float, north_m: float, up_m: float) -> None:
+        super().go_to(east_m, north_m, up_m)
+        self.guided_place = GoTo(east_m, north_m, up_m)
+
     def begin(self, mode: IntEnum, now: float) -> None:
+        self.guided_place = None
         if mode == RoverMode.RTL and self.armed and self.home is not None:
             self.fly_home()
         elif mode == RoverMode.AUTO and self.armed:
@@ -179,6 +186,8 @@ class RoverVehicle(CourseVehicle):
         self.landed = False
         if self.mode in (RoverMode.RTL, RoverMode.AUTO):
             self.begin(RoverMode(self.mode), now)
+        elif self.mode == RoverMode.GUIDED and self.guided_place is not None:  # ModeGuided::update
+            self.plan.fly(self.guided_place)
 
     def _mode_refusal(self) -> str | None:
         return None if self.mode_rule.arms else "Mode not armable"

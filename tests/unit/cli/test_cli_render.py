@@ -210,6 +210,12 @@ def test_on_a_terminal_long_lines_are_wrapped_between_words_below_their_text() -
     assert render.wrapped("a\n  b c", 4) == "a\n  b\nc"
 
 
+def test_what_drives_is_on_the_ground_and_has_no_height() -> None:
+    """A Rover that stood "180.0 m ground" at its home."""
+    for kind, shown in (("GROUND_ROVER", "ground"), ("QUADROTOR", "180.0 m ground")):
+        assert status.height_word(state(type=kind, landed="on_ground", position={"alt_rel_m": 180.0})) == shown
+
+
 def test_a_height_that_rounds_to_nothing_has_no_sign() -> None:
     cells = status.status_cells(state(position={"alt_rel_m": -0.04}))
     assert cells[status.STATUS_COLUMNS.index("alt")] == "0.0 m ground"

@@ -93,7 +93,7 @@ async def test_what_is_not_done_says_why_and_ends_there() -> None:
             "failed: Arm: Throttle too high",
             [ARM],
         ),
-        (ARDUPILOT, accepting, lambda a: a.set_mode("GUIDED"), "timeout: accepted, but still in STABILIZE", [MODE]),
+        (ARDUPILOT, accepting, lambda a: a.set_mode("GUIDED"), "timeout: accepted, but it is in STABILIZE", [MODE]),
         (
             *(ARDUPILOT, refusing(TAKEOFF, 4, bad_throttle), lambda a: a.takeoff(10)),
             *(f"takeoff: failed: {bad_throttle}; disarm again", [MODE, ARM, TAKEOFF, ARM]),
@@ -493,7 +493,7 @@ async def test_a_vehicle_on_the_ground_need_not_enter_the_mode_it_accepted() -> 
             assert (await order(actor)).ok, order
             vehicle.armed, vehicle.flying, vehicle.status = True, True, 4
             await asyncio.sleep(1.5)
-            assert (await order(actor)).message.endswith("timeout: accepted, but still in STABILIZE"), order
+            assert (await order(actor)).message.endswith("timeout: accepted, but it is in STABILIZE"), order
 
 
 async def test_a_forced_disarm_takes_the_place_of_a_takeoff_in_the_making(ground: Ground) -> None:

@@ -71,6 +71,16 @@ def test_every_mode_is_entered_while_disarmed_or_refused_with_a_reason(kind: str
     assert known.command(mav.MAV_CMD_DO_SET_MODE, 1, NAN) == DENIED
 
 
+def test_an_arduplane_does_not_arm_in_its_return_and_has_no_auto_without_a_mission() -> None:
+    """Seen of ArduPlane 4.6.3: "Arm: RTL mode not armable"; AUTO, and "Mission complete, changing mode to RTL"."""
+    known = Simulated("ardupilot_plane")
+    assert known.command(mav.MAV_CMD_DO_SET_MODE, 1, PlaneMode.AUTO) == ACCEPTED
+    assert known.sim.mode == PlaneMode.RTL
+    assert known.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == FAILED
+    assert known.command(mav.MAV_CMD_DO_SET_MODE, 1, PlaneMode.GUIDED) == ACCEPTED
+    assert known.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
+
+
 def test_a_rover_knows_no_take_off_and_no_landing() -> None:
     """Neither is a case of Rover's handle_command_int_packet."""
     rover = Simulated("rover")

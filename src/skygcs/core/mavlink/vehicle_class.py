@@ -23,6 +23,10 @@ Abilities of the classes (`abilities_of`): the one declaration from which orders
     hovers      yes      no             on its rotors       no            no      yes     no        no
     circles     no       always         on its wing         no            no      no      no        taken to
     setpoints   yes      no             no                  no            no      no      no        no
+    turns to a  yes      no             PX4 on its rotors   no            yes     no      no        no
+    heading
+    moves off   PX4      yes            yes                 ArduPilot,    PX4     no      no        PX4
+    when armed                                              PX4
     return      lands    circles, or    circles, or on      stands (PX4   -       stands  -         taken to
     ends        (PX4 or  by its         its rotors (PX4     disarms)                                land
                 holds)   mission        lands)
@@ -332,6 +336,10 @@ class Abilities:
     """It follows positions, velocities and attitudes as skygcs streams them, and so flies plans and formations."""
     goes: bool = True
     """It goes to a place by one order."""
+    turns: bool = False
+    """It takes the heading of a goto."""
+    moves_off: frozenset[str] = frozenset()
+    """Modes in which it goes on its way as soon as it is armed."""
     returns: bool = True
     return_mode: str = ""
     """Mode of a return; "": NAV_RETURN_TO_LAUNCH."""
@@ -411,7 +419,14 @@ _PX4_RETURN: tuple[HeightParam, ...] = ((("RTL_RETURN_ALT", 1.0),),)
 _C = VehicleClass
 _ON_THE_GROUND = Abilities(flies=False, return_end=ReturnEnd.STANDS)
 
-_PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE, return_heights=_PX4_RETURN)
+_PX4_GOES = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})
+_PLANE_GOES = frozenset({"AUTO", "TAKEOFF"})
+"""ArduPlane/servos.cpp: Plane::suppress_throttle."""
+_ROVER_GOES = frozenset({"AUTO", "GUIDED"})
+"""In GUIDED a Rover that was disarmed on its way drives on to its place (mode_guided.cpp: update; Rover::set_mode to
+the same mode changes nothing)."""
+
+_PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE, return_heights=_PX4_RETURN, moves_off=_PX4_GOES)
 _PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS_DISARMED, return_heights=())
 
 TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
@@ -419,6 +434,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         _PX4,
         hovers=True,
         setpoints=True,
+        turns=True,
         takeoff=TakeOff.CLIMB,
         brake_mps2=2.0,
         return_params=(RTL_TYPE, RTL_LAND_DELAY),
@@ -435,10 +451,11 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("px4", _C.VTOL): replace(_PX4, hovers=True, circles=True, takeoff=TakeOff.CLIMB, hold_radius=PX4_HOLD),
     ("px4", _C.ROVER): replace(_PX4_DRIVES, brake_mps2=1.0),
     ("px4", _C.BOAT): _PX4_DRIVES,
-    ("px4", _C.SUB): replace(_PX4_DRIVES, returns=False),
+    ("px4", _C.SUB): replace(_PX4_DRIVES, returns=False, turns=True),
     ("ardupilot", _C.COPTER): Abilities(
         hovers=True,
         setpoints=True,
+        turns=True,
         stop_mode="BRAKE",
         hold_mode="GUIDED",
         takeoff=TakeOff.CLIMB,
@@ -449,6 +466,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ),
     ("ardupilot", _C.PLANE): Abilities(
         circles=True,
+        moves_off=_PLANE_GOES,
         stop_mode="LOITER",
         takeoff=TakeOff.OWN_HEIGHT,
         landing=Landing.MISSION,
@@ -463,6 +481,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
     ("ardupilot", _C.VTOL): Abilities(
         hovers=True,
         circles=True,
+        moves_off=_PLANE_GOES,
         stop_mode="LOITER",
         takeoff=TakeOff.BY_ROTORS,
         landing=Landing.MODE,
@@ -476,9 +495,11 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
         return_climb=_PLANE_CLIMB,
         order_params=("Q_ENABLE", "Q_GUIDED_MODE"),
     ),
-    ("ardupilot", _C.ROVER): replace(_ON_THE_GROUND, stop_mode="HOLD", brake_mps2=1.0),
-    ("ardupilot", _C.BOAT): replace(_ON_THE_GROUND, stop_mode="HOLD", hold_mode="LOITER"),
-    ("ardupilot", _C.SUB): replace(_ON_THE_GROUND, stop_mode="POSHOLD", landing=Landing.HERE, returns=False),
+    ("ardupilot", _C.ROVER): replace(_ON_THE_GROUND, stop_mode="HOLD", brake_mps2=1.0, moves_off=_ROVER_GOES),
+    ("ardupilot", _C.BOAT): replace(_ON_THE_GROUND, stop_mode="HOLD", hold_mode="LOITER", moves_off=_ROVER_GOES),
+    ("ardupilot", _C.SUB): replace(
+        _ON_THE_GROUND, stop_mode="POSHOLD", landing=Landing.HERE, returns=False, turns=True
+    ),
     ("ardupilot", _C.BLIMP): Abilities(
         hovers=True,
         stop_mode="LOITER",
@@ -495,7 +516,7 @@ TABLE: Mapping[tuple[Family, VehicleClass], Abilities] = {
 of PX4) has the abilities of its family in `UNKNOWN`. NAV_LAND is MAVLink's own landing, which any copter has."""
 
 ON_ROTORS: Mapping[tuple[Family, VehicleClass], Abilities] = {
-    ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False),
+    ("px4", _C.VTOL): replace(TABLE["px4", _C.VTOL], circles=False, turns=True),
     ("ardupilot", _C.VTOL): replace(
         TABLE["ardupilot", _C.VTOL],
         circles=False,

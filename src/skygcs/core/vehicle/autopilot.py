@@ -69,7 +69,8 @@ Other classes have the modes and commands that `mavlink.vehicle_class` declares 
 - A PX4 plane takes off to where its nose points, whatever place NAV_TAKEOFF names (control_auto_takeoff).
 - ArduPlane has no NAV_LAND: DO_LAND_START goes to the landing of its mission, and is denied without one
   (GCS_MAVLINK_Plane::handle_command_int_packet, 4.7-dev). LOITER and RTL of a hovering QuadPlane fly on as a plane;
-  QLOITER, QLAND and QRTL do not. Without sticks QLOITER sinks at 0.5 m/s (get_pilot_desired_climb_rate_cms).
+  QLOITER, QLAND and QRTL do not. Without sticks QLOITER sinks at 0.5 m/s (get_pilot_desired_climb_rate_cms). With
+  Q_GUIDED_MODE 1 it holds in GUIDED, after QLOITER as an ArduCopter after BRAKE, and needs none (ModeGuided::_enter).
 - What RTL of an ArduPlane does at its home, RTL_AUTOLAND and of a QuadPlane Q_RTL_MODE say
   (`vehicle_class.plane_return`); the outcome of the order says it.
 - HOLD of a boat stops its motors, so that it drifts; LOITER keeps it where it is.
@@ -262,17 +263,23 @@ def hold(vehicle: Vehicle, now: float) -> Plan:
         step = _named_mode(vehicle, mode, refused="it needs a position to keep; stop switches its motors off")
         return Plan("hold", (step,), f"holding in {mode}", despite_duplicate=True)
     braked = brake(vehicle, now)
-    if not mode:
+    by_rotors = stays_on_rotors(vehicle, now)
+    if not mode and not by_rotors:
         return braked
     (first,) = braked.steps
-    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, mode)
+    guided = modes.mode_number(vehicle.autopilot, vehicle.mode_type, "GUIDED")
     stays = mode_step(vehicle, guided, or_disarmed=True)
     unheard = ("SET_MODE", {"base_mode": modes.CUSTOM_MODE_ENABLED, "custom_mode": guided})
     steps = (
         replace(first, expect_s=0, refused=NO_HOLD, with_repeats=unheard),
-        replace(stays, refused=f"{IN_BRAKE}: {BRAKE_NOTE}"),
+        replace(stays, refused=braked.done if by_rotors else f"{IN_BRAKE}: {BRAKE_NOTE}"),
     )
     return Plan("hold", steps, "holding in GUIDED", despite_duplicate=True)
+
+
+def stays_on_rotors(vehicle: Vehicle, now: float) -> bool:
+    """True for a hovering QuadPlane that is known to stay on its rotors in GUIDED (QuadPlane::guided_mode_enabled)."""
+    return vehicle.family == "ardupilot" and vehicle.hovers(now) and vehicle.param("Q_GUIDED_MODE") == 1.0
 
 
 NO_HOLD = "it needs a position to hold, and it does nothing else instead: land it, or fly it by transmitter"
@@ -295,7 +302,7 @@ def brake(vehicle: Vehicle, now: float) -> Plan:
         step = Step("pause", pause, expect=expect, instead=(step,))
     radius_m = vehicle.hold_radius_m(now)
     done = f"holding in {wanted}"
-    if able.circles and radius_m:
+    if able.circles and radius_m and vehicle.under_way(now):
         done = f"circling in {wanted}, {rounded(radius_m)} m about where it was"
     elif (danger := hazard(model_of(vehicle, now), number)) is not None:
         done = f"stopped; {danger}" + ("; land or rtl needs no sticks" if able.lands and able.returns else "")

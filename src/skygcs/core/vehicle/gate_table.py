@@ -13,7 +13,7 @@ from typing import Any
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, check, encode
-from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, VehicleClass, class_type
+from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, VehicleClass, abilities_of, class_type
 from skygcs.core.params.names import ParamRole
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import mission_orders, offboard_entry, orders, stop
@@ -176,7 +176,9 @@ def _vehicle(example: Example, dialect: Dialect, *, on_ground: bool) -> Vehicle:
     """A vehicle of this class that has said all that orders ask for."""
     vehicle = Vehicle(1, 1, dialect, name="v1")
     mav_type = class_type(example.kind)
-    custom_mode = modes.mode_number(example.autopilot, mav_type, example.mode)
+    able = abilities_of(modes.family(example.autopilot), example.kind)
+    mode = able.stop_mode if on_ground and example.mode in able.moves_off else example.mode
+    custom_mode = modes.mode_number(example.autopilot, mav_type, mode)
     beat = {"type": mav_type, "autopilot": example.autopilot, "custom_mode": custom_mode, "mavlink_version": 3}
     beat |= {"base_mode": modes.CUSTOM_MODE_ENABLED | (0 if on_ground else modes.SAFETY_ARMED)}
     height = {"relative_alt": 0, "alt": 400_000} if on_ground else {}

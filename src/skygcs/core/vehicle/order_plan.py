@@ -65,7 +65,7 @@ class ModeIn:
         return self.or_disarmed and not vehicle.armed and contradiction(vehicle, now) is None
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        return f"still in {vehicle.mode}"
+        return f"it is in {vehicle.mode}"
 
 
 LIFT_OFF_S = 8.0

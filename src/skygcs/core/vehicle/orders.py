@@ -20,7 +20,7 @@ from skygcs.core.geo import REACH_M, distance_m, geodetic_from_enu, swapped_hint
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.modes import PX4_NOT_ARMABLE
-from skygcs.core.mavlink.vehicle_class import VehicleClass
+from skygcs.core.mavlink.vehicle_class import TakeOff
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
@@ -54,20 +54,19 @@ COMMON_WORDS = frozenset({"NAV", "SET", "GET", "MAV", "CMD"})
 INT32 = 1 << 31
 
 
-FLIES_OFF = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})
-"""Modes of PX4 in which it takes off when armed."""
-
-
 def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: int | None = None) -> Plan:
     """``estimate_msgid``, of EKF_STATUS_REPORT: an ArduCopter is not armed before its estimator has a position.
 
-    Raises RefusedError in a mode in which arming starts a flight: a PX4 stays in AUTO.MISSION when it disarms after a
+    Raises RefusedError in a mode in which arming sets it off: a PX4 stays in AUTO.MISSION when it disarms after a
     mission, and flies the mission again as soon as it is armed."""
     require_connected(vehicle, now)
-    if not force and vehicle.family == "px4" and vehicle.mode in FLIES_OFF and not vehicle.armed:
+    able = vehicle.abilities
+    if not force and vehicle.mode in able.moves_off and not vehicle.armed:
+        moves = "take off" if able.flies else "drive on"
+        starts = "mission start" + (", takeoff" if able.takeoff is not TakeOff.NONE else "")
         raise RefusedError(
-            f"it is in {vehicle.mode} and would take off at once; set another mode first (AUTO.LOITER), or start what "
-            f"it is to do (mission start, takeoff); {FORCE_HINT}"
+            f"it is in {vehicle.mode} and would {moves} at once; set another mode first ({able.stop_mode}), or start "
+            f"what it is to do ({starts}); {FORCE_HINT}"
         )
     plan = autopilot.arm(force=force)
     if estimate_msgid is not None and not force:
@@ -111,21 +110,22 @@ def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True, 
 
 def land(vehicle: Vehicle, now: float) -> Plan:
     require_connected(vehicle, now)
-    return _down_already("land", vehicle, now) or autopilot.land(vehicle, now)
+    down = _down_already("land", vehicle, now) if vehicle.abilities.lands else None
+    return down or autopilot.land(vehicle, now)
 
 
 def rtl(vehicle: Vehicle, now: float) -> Plan:
     require_connected(vehicle, now)
-    return _down_already("rtl", vehicle, now) or autopilot.rtl(vehicle, now)
+    down = _down_already("rtl", vehicle, now) if vehicle.abilities.returns else None
+    return down or autopilot.rtl(vehicle, now)
 
 
 def _down_already(order: str, vehicle: Vehicle, now: float) -> Plan | None:
-    """Nothing to do for a multicopter that is certainly on the ground and disarmed: a PX4 would stay in AUTO.LAND or
-    AUTO.RTL there, in which it does not arm. None: it may be flying."""
+    """Nothing to do for what is certainly on the ground and disarmed: it would not move, and stay in a mode of its
+    landing or return, in which neither firmware arms. None: it may be under way."""
     state, at = vehicle.landed_state()
-    if vehicle.kind is not VehicleClass.COPTER or state != "on_ground" or now - at > ORDER_POSITION_S:
-        return None
-    if why_not_idle(vehicle, now) is not None:
+    stands = not vehicle.abilities.flies or (state == "on_ground" and now - at <= ORDER_POSITION_S)
+    if not stands or why_not_idle(vehicle, now) is not None:
         return None
     return Plan(order, (), "it is on the ground and disarmed already; nothing was sent", despite_duplicate=True)
 
@@ -167,11 +167,13 @@ def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack
     frame (``enu_m``). ``force`` overrides the distance limit, its own fence's height and the ground check, never an
     impossible coordinate."""
     hovers = vehicle.family == "ardupilot" and vehicle.hovers(now)
-    if hovers and vehicle.param("Q_GUIDED_MODE") != 1.0 and not where.get("force"):
+    if hovers and not autopilot.stays_on_rotors(vehicle, now) and not where.get("force"):
         raise RefusedError(
             "it hovers, and in GUIDED it would fly on as a plane and circle there unless its Q_GUIDED_MODE is 1; it is "
             f"not known to be; {FORCE_HINT}"
         )
+    if where.get("yaw_deg") is not None and not vehicle.abilities_now(now).turns:
+        raise RefusedError(f"a {vehicle.kind} of {autopilot.firmware_name(vehicle)} takes no heading; leave it out")
     here, home_amsl_m = require_going(vehicle, now)
     lat_deg, lon_deg, height_m = where.get("lat_deg"), where.get("lon_deg"), where.get("height_m")
     enu_m, yaw_deg = where.get("enu_m"), where.get("yaw_deg")
@@ -508,7 +510,7 @@ def _require_within(what: str, value: float, most: float) -> None:
 
 
 LASTING_REASONS: tuple[tuple[str, str], ...] = (
-    (r"mode not armable", "set another mode first: skygcs-cli mode {name} GUIDED"),
+    (r"mode not armable", "set another mode first: skygcs-cli mode {name} GUIDED (a rover: HOLD)"),
     (r"switch to manual mode first", "set another mode first: skygcs-cli mode {name} AUTO.LOITER"),
     (r"hardware safety switch|press safety", "press the safety switch on the vehicle"),
     (r"motors emergency stopped|kill switch engaged", "release the kill switch of its transmitter"),

@@ -305,9 +305,10 @@ class Vehicle:
         return max(HOLD_REACH * hold.value_m(self.param(hold.param)), self.return_reach_m)
 
     def hold_radius_m(self, now: float) -> float:
-        """Radius of the circle that it flies to hold, m; 0 for what stops."""
+        """Radius of the circle that it flies to hold, m; 0 for what stops, and for a VTOL on the ground: it rises on
+        its rotors."""
         able = self.abilities_now(now)
-        if not able.circles or able.hold_radius is None:
+        if not able.circles or able.hold_radius is None or (able.hovers and self.in_air(now) is False):
             return 0.0
         return able.hold_radius.value_m(self.param(able.hold_radius.param))
 

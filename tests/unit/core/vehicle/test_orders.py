@@ -237,6 +237,43 @@ def test_a_px4_that_would_take_off_when_armed_is_not_armed_by_itself(mode: int) 
     assert orders.arm(vehicle, NOW).steps
 
 
+@each(
+    ("kind", "mode", "instead", "moves"),
+    [
+        (1, 10, 12, "take off"),  # AUTO, LOITER
+        (1, 13, 12, "take off"),  # TAKEOFF
+        (ROVER, 10, 4, "drive on"),  # AUTO, HOLD
+        (ROVER, 15, 4, "drive on"),  # GUIDED: to the place of its last goto
+    ],
+)
+def test_an_arming_sets_no_plane_and_no_rover_off_by_itself(kind: int, mode: int, instead: int, moves: str) -> None:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(ARDUPILOT, mode, kind=kind), NOW)
+    with pytest.raises(RefusedError, match=f"would {moves} at once; set another mode first .(LOITER|HOLD)."):
+        orders.arm(vehicle, NOW)
+    assert orders.arm(vehicle, NOW, force=True).steps
+    vehicle.on_frame(voice.beat(ARDUPILOT, instead, kind=kind), NOW)
+    assert orders.arm(vehicle, NOW).steps
+
+
+@each(("autopilot", "kind", "turns"), [(ARDUPILOT, 2, True), (ARDUPILOT, ROVER, False), (ARDUPILOT, 1, False)])
+def test_a_heading_is_not_ordered_of_what_takes_none(autopilot: int, kind: int, turns: bool) -> None:
+    """It drove off, and "FAIL yaw: unsupported" said that it did not: CONDITION_YAW follows the DO_REPOSITION."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(autopilot, 4, armed=True, status=4, kind=kind), NOW)
+    vehicle.on_frame(voice.position(alt_amsl_m=HOME[2] + 20, rel_m=20.0), NOW)
+
+    def to(yaw_deg: float | None) -> Plan:
+        return orders.goto(vehicle, NOW, height_m=20.0, yaw_deg=yaw_deg, limit_m=LIMIT_M)
+
+    assert to(None).steps
+    if turns:
+        assert len(to(90.0).steps) == 2
+    else:
+        with pytest.raises(RefusedError, match="of ArduPilot takes no heading; leave it out"):
+            to(90.0)
+
+
 @each("force", [False, True])
 def test_a_place_beyond_every_reach_is_not_insisted_on(force: bool) -> None:
     """goto with swapped coordinates: "15435938 m away ... insist with force", which was then accepted."""
@@ -273,6 +310,25 @@ def test_one_that_is_down_already_is_not_sent_into_a_landing(autopilot: int) -> 
         assert plan.steps == () and "on the ground and disarmed already" in plan.done
     vehicle.on_frame(voice.landed(2), NOW + 1.0)
     assert orders.land(vehicle, NOW + 1.0).steps
+
+
+@each(("kind", "land"), [(1, True), (20, True), (ROVER, False)])
+def test_what_stands_disarmed_is_not_said_to_return(kind: int, land: bool) -> None:
+    """ "ok returning to launch; it stops and stays armed" of a Rover that stood disarmed, and then did not arm."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(ARDUPILOT, 0, kind=kind), NOW)
+    if kind != ROVER:
+        assert orders.rtl(vehicle, NOW).steps, "whether it is on the ground is not known"
+        vehicle.on_frame(voice.landed(1), NOW)
+    plan = orders.rtl(vehicle, NOW + 1.0)
+    assert plan.steps == () and "on the ground and disarmed already" in plan.done
+    if land:
+        assert orders.land(vehicle, NOW + 1.0).steps == ()
+    else:
+        with pytest.raises(RefusedError, match="does not land"):
+            orders.land(vehicle, NOW + 1.0)
+    vehicle.on_frame(voice.beat(ARDUPILOT, 4 if kind == ROVER else 12, armed=True, kind=kind), NOW + 1.0)
+    assert orders.rtl(vehicle, NOW + 1.0).steps
 
 
 @each("autopilot", [PX4, ARDUPILOT])

@@ -457,6 +457,12 @@ def test_what_cannot_stop_says_how_wide_it_circles() -> None:
     assert Shown(ARDUPILOT, PLANE, 10, WP_LOITER_RAD=1.0).vehicle.hold_radius_m(NOW) == 60.0  # Plane::update_loiter
     assert Shown(PX4, PLANE, 4 << 16 | 4 << 24).vehicle.hold_radius_m(NOW) == 80.0
     assert Shown(ARDUPILOT, PLANE, 19).vehicle.hold_radius_m(NOW) == 0.0  # on its rotors
+    standing = {kind: Shown(ARDUPILOT, kind, 5) for kind in (PLANE, VTOL)}
+    for shown in standing.values():
+        shown.hear(mav.MAVLink_extended_sys_state_message(0, 1))
+        assert orders.hold(shown.vehicle, NOW).done == "holding in LOITER"  # and not circling
+    assert standing[PLANE].vehicle.hold_radius_m(NOW) == 60.0  # it takes off into a circle
+    assert standing[VTOL].vehicle.hold_radius_m(NOW) == 0.0  # it rises on its rotors
     assert Shown(ARDUPILOT, QUADROTOR, 4).vehicle.hold_radius_m(NOW) == 0.0
 
 
@@ -474,6 +480,19 @@ def test_the_hold_of_a_hovering_quadplane_says_that_it_sinks_without_sticks() ->
     hovers, modes_of = model_of(hovering.vehicle, NOW), mavutil.mode_mapping_bynumber(PLANE)
     for stop_mode in (12, 19):  # LOITER circles by itself, QLOITER does not
         assert (hazard(replace(hovers, sticks=Sticks.ABSENT), stop_mode) is None) == (modes_of[stop_mode] == "LOITER")
+
+
+def test_a_quadplane_that_stays_on_its_rotors_in_guided_holds_there() -> None:
+    """It was put into QLOITER, and sank to the ground from 10 m (ArduPlane 4.6.3, with the throttle stick down)."""
+    numbers = {name: number for number, name in mavutil.mode_mapping_bynumber(PLANE).items()}
+    held = orders.hold(Shown(ARDUPILOT, PLANE, 19, Q_GUIDED_MODE=1.0).vehicle, NOW)
+    asked = [step.command.params[1] for step in held.steps if step.command is not None]
+    assert asked == [numbers["QLOITER"], numbers["GUIDED"]] and held.done == "holding in GUIDED"
+    assert len(orders.hold(Shown(ARDUPILOT, PLANE, 19).vehicle, NOW).steps) == 1, "it would fly on as a plane"
+    on_wing = orders.hold(Shown(ARDUPILOT, PLANE, 10, Q_ENABLE=1.0, Q_GUIDED_MODE=1.0).vehicle, NOW)
+    assert on_wing.done == "circling in LOITER, 60 m about where it was"
+    stopped = stop.stop(Shown(ARDUPILOT, PLANE, 19, Q_GUIDED_MODE=1.0).vehicle, NOW, "hold")
+    assert len(stopped.steps) == 1, "a stop ignores setpoints"
 
 
 def test_a_quadplane_that_hovers_goes_nowhere_as_a_plane_unless_somebody_insists() -> None:
