@@ -108,5 +108,10 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "../integration/test_returns_at_once.py",
             "../integration/test_returns.py",
         ),
+        "runtime/return_members.py": (
+            "../integration/test_returns_that_hold.py",
+            "../integration/test_returns_at_once.py",
+            "../integration/test_returns.py",
+        ),
     },
 }

@@ -19,9 +19,9 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoding import Decoder
+from skygcs.core.vehicle.flight_evidence import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
 from skygcs.core.vehicle.statustext import StatusText
-from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.errors import TargetError
@@ -260,7 +260,7 @@ class Fleet:
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
 
     def may_fly(self, key: int) -> bool:
-        """True if this is a vehicle that may be under way now (`core.vehicle.supply`)."""
+        """True if this is a vehicle that may be under way now (`core.vehicle.flight_evidence`)."""
         actor = self.vehicles.get(key)
         return actor is not None and may_fly(actor.vehicle, self._loop.time())
 

@@ -28,7 +28,8 @@ from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
-from skygcs.runtime.returns import Returns, Waiting, read_return_height
+from skygcs.runtime.return_members import read_return_height
+from skygcs.runtime.returns import Returns, Waiting
 from skygcs.runtime.separation_monitor import Destination, SeparationMonitor
 from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask, in_turns
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor

@@ -15,10 +15,10 @@ from skygcs.core.mavlink.vehicle_class import ON_ROTORS, TABLE, ReturnEnd, Vehic
 from skygcs.core.mission.item import MissionType
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders, stop
+from skygcs.core.vehicle.flight_evidence import may_fly
 from skygcs.core.vehicle.gate import clear_undo
 from skygcs.core.vehicle.order_plan import ModeIn, Plan
 from skygcs.core.vehicle.stick_modes import hazard, without_sticks
-from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.core.vehicle.watched_params import WATCHED
