@@ -280,7 +280,7 @@ class Returns:
         goes_on = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
         if waits.has_waited and goes_on:  # by the order before
             waits.step = Step.WAITS
-            actor.runner.note_effect()
+            actor.runner.precedence.note_effect()
             self._report(actor, text)
             return Outcome(True, "accepted", text, order_number=waits.order_number)
         outcome = await actor.hold(spares=COMING_HOME)

@@ -11,7 +11,7 @@ fails, or when control ends, `leave`.
 
 from __future__ import annotations
 
-from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits, LossReach
+from skygcs.core.control.control_fence import COPTER_BRAKING, PX4_BRAKING, BrakingLimits, LossReach
 from skygcs.core.control.velocity_loop import within
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.vehicle_class import cannot_hover

@@ -33,7 +33,14 @@ from skygcs.core.vehicle.decoding import (
     firmware_from_banner,
     firmware_from_version,
 )
-from skygcs.core.vehicle.message_cache import MessageCache, Slot
+from skygcs.core.vehicle.message_cache import (
+    MAX_STATUS_TEXTS,
+    MessageCache,
+    Parameters,
+    Slot,
+    StatusText,
+    StatusTextAssembler,
+)
 from skygcs.core.vehicle.shared_ids import BootClock, Finding, SharedIds
 from skygcs.core.vehicle.state import (
     ACTIVE,
@@ -45,9 +52,7 @@ from skygcs.core.vehicle.state import (
     SYSTEM_STATUS,
     name_of,
 )
-from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS, StatusText, StatusTextAssembler
 from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude, standing_amsl_m
-from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
 
 RATE_PERIOD_S = 1.0
