@@ -610,7 +610,7 @@ class FleetOrders:
 
 
 def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> dict[VehicleActor, str]:
-    """Vehicles for which the order comes too late, and why; see `OrderRunner.overtaken`."""
+    """Vehicles for which the order comes too late, and why; see `OrderPrecedence.overtaken`."""
     late = {actor: actor.runner.precedence.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
 

@@ -418,7 +418,7 @@ class Vehicle:
         return None if home is None else float(home["alt_amsl_m"])
 
     def param(self, name: str) -> float | None:
-        """A parameter of `watched_params.WATCHED`; None if no station has read it since the vehicle started."""
+        """A parameter of `message_cache.WATCHED`; None if no station has read it since the vehicle started."""
         return self.parameters.value(name)
 
     def clock_offset_s(self, now: float, unix_now: float) -> float | None:
