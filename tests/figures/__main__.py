@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from figures.measures import ROOT, code_lines, equal_runs, page_lines, reached_from
 from skygcs.cli.main import app
 from skygcs.cli.serve import new_parser
-from skygcs.rpc.openrpc import document
+from skygcs.rpc.dispatch import document
 from support.extension_parts import ALL_METHODS
 
 OUT = ROOT / "build" / "figures"

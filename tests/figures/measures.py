@@ -91,7 +91,7 @@ def imports_of(module: Path, *, in_functions: bool) -> Iterator[str]:
             stack += ast.iter_child_nodes(node)
 
 
-CHOOSES = "skygcs.links.factory"
+CHOOSES = "skygcs.runtime.linktable"
 """Its functions import the kinds of links that a fleet file has; a plain one has `PLAIN_LINK` alone."""
 PLAIN_LINK = "skygcs.links.udp"
 

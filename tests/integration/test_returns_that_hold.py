@@ -50,13 +50,14 @@ async def test_one_that_is_forgotten_while_it_holds_at_its_home_is_in_nobodys_wa
     """Its name was looked up in each later decision, which failed."""
     async with aloft(tmp_path, px4=1) as gcs:
         returns, actor = gcs.daemon.fleet.returns, gcs.actor("v1")
-        returns._members[actor.vehicle.key] = actor
-        returns._staying.add(actor.vehicle.key)
+        members = returns._members
+        members.add((actor,))
+        members.staying.add(actor.vehicle.key)
         gcs.muted.add(1)
         await asyncio.sleep(8.0)
         await gcs.done("vehicles.forget", force=True)
         returns._leave_out_gone()
-        assert returns._members == {} and returns._staying == set()
+        assert not members.keys() and members.staying == set()
 
 
 async def test_one_that_cannot_come_by_it_is_given_up_at_once(tmp_path: Path) -> None:

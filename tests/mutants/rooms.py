@@ -41,9 +41,12 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     "guard": {"core/control/guard.py": ("core/control/test_guard.py",)},
     "order-gate": {"ext/federation/protocol/order_gate.py": ("ext/federation/protocol/test_order_gate.py",)},
     "outgoing-gate": {
-        "core/vehicle/gate.py": ("core/vehicle/test_gate.py", "core/vehicle/test_gate_table.py"),
+        "core/vehicle/gate.py": (
+            "core/vehicle/test_gate.py",
+            "core/vehicle/test_gate_table.py",
+            "core/vehicle/test_outgoing_gate.py",
+        ),
         "core/vehicle/stick_modes.py": ("core/vehicle/test_gate.py",),
-        "runtime/outgoing_gate.py": ("runtime/test_outgoing_gate.py",),
     },
     "certificates": {
         "ext/plans/certificates/certify.py": ("ext/plans/certificates/test_certify.py",),
@@ -78,6 +81,10 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "runtime/test_stop_orders.py",
             "../integration/test_orders_as_they_come.py",
         ),
+        "runtime/order_precedence.py": (
+            "runtime/test_vehicle_actor.py",
+            "../integration/test_orders_as_they_come.py",
+        ),
         "runtime/takeoffs.py": (
             "runtime/test_vehicle_actor.py",
             "../integration/test_engage_after_takeoff.py",
@@ -104,6 +111,11 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "core/monitor/test_order_check.py",
         ),
         "runtime/returns.py": (
+            "../integration/test_returns_that_hold.py",
+            "../integration/test_returns_at_once.py",
+            "../integration/test_returns.py",
+        ),
+        "runtime/return_members.py": (
             "../integration/test_returns_that_hold.py",
             "../integration/test_returns_at_once.py",
             "../integration/test_returns.py",

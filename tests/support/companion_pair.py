@@ -23,6 +23,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.clock_offset import ClockOffset
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
+from skygcs.core.radio_link.transmit_queue import OwnMessage
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RpcError, SkygcsError
 from skygcs.ext.companions.companion_table import CompanionConfig
@@ -32,7 +33,6 @@ from skygcs.ext.companions.ground_contact import GROUND_LINK
 from skygcs.ext.companions.role import as_companion
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
-from skygcs.links.outgoing import OwnMessage
 from skygcs.rpc.dispatch import REFUSED
 from support.called import call
 from support.daemons import memory_link

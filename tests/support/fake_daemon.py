@@ -21,13 +21,13 @@ from typing import Any, cast
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.dialects import load_dialect
-from skygcs.config.separation import SeparationSettings
+from skygcs.config.vehicle_tables import SeparationSettings
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.vehicle.stop import require_confirmed
+from skygcs.core.vehicle.orders import require_confirmed
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event

@@ -22,10 +22,10 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.radio_link.transmit_queue import OwnMessage
 from skygcs.daemon import Daemon
 from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
-from skygcs.links.outgoing import OwnMessage
 from skygcs.runtime.flight_notes import FILE
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import CALM, Conditions

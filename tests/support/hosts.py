@@ -15,9 +15,9 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.radio_link.transmit_queue import OwnMessage
 from skygcs.events import Event
 from skygcs.links.base import Channel
-from skygcs.links.outgoing import OwnMessage
 from skygcs.links.reading import ReadingTurns
 
 

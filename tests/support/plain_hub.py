@@ -8,10 +8,9 @@ from typing import Any
 
 from skygcs.config.models import FleetConfig, LinkConfig, MemoryLinkConfig
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.core.routing.routing_table import RouteNote
 from skygcs.links.base import Channel, Link
-from skygcs.links.outgoing import Outgoing
 from skygcs.runtime.hub import Hub
 from support.routed import DIALECT
 from support.services import connect, list_recorder

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from skygcs.rpc import openrpc
+from skygcs.rpc import dispatch
 from skygcs.rpc.dispatch import Method
 
 TARGETS = ["string", "integer", "(string or integer)[]"]
@@ -59,7 +59,7 @@ def described(param: dict[str, Any]) -> tuple[str, str, str]:
 
 def shared(methods: Iterable[Method[Any]]) -> dict[tuple[str, str, str], str]:
     """Each parameter that many methods have -> its line."""
-    found = Counter(described(param) for method in openrpc.document(methods)["methods"] for param in method["params"])
+    found = Counter(described(param) for method in dispatch.document(methods)["methods"] for param in method["params"])
     whole = {"targets": "string, integer or (string or integer)[]"}
     return {
         (name, type_name, text): line((name, whole.get(type_name, type_name), text))
@@ -103,7 +103,7 @@ def reference(methods: Iterable[Method[Any]]) -> str:
     known = shared(methods)
     first: dict[tuple[tuple[str, str, str], str | None], str] = {}
     lines: list[str] = []
-    for method in openrpc.document(methods)["methods"]:
+    for method in dispatch.document(methods)["methods"]:
         if method["name"].startswith(INTERNAL):
             continue
         lines += [f"### {method['name']}", "", method["description"], ""]

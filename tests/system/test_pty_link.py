@@ -14,9 +14,8 @@ import pytest
 
 from skygcs.config import models
 from skygcs.events import Event
-from skygcs.links.base import Link
+from skygcs.links.base import Link, LinkSupervisor
 from skygcs.links.serial import SerialLink
-from skygcs.links.supervisor import LinkSupervisor
 from skygcs.links.udp import UdpServerLink
 from support.hosts import RecordingHost, frames_in, heartbeat, open_descriptors, text, until
 from support.loops import on_every_loop

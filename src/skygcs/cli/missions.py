@@ -36,11 +36,10 @@ from skygcs.cli.parsing import finite, parse_number
 from skygcs.cli.render import event_line, plural, print_json, say
 from skygcs.config.files import read_named, write_named
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped, same_start
 from skygcs.core.mission.formats import Imported, read_plan, write_plan
 from skygcs.core.mission.item import MissionItem, MissionType
-from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.plan import CheckLimits, Finding, MissionPlan, check_plan, errors
 from skygcs.errors import PlanFileError, SkygcsError
 from skygcs.rpc.client import Client
 

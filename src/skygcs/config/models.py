@@ -19,15 +19,14 @@ from pydantic import (
 from pydantic_core import PydanticKnownError, core_schema
 
 from skygcs.config.control import ControlSettings
-from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, Profile, RadioKeys, RateHz, Share
-from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
+from skygcs.config.vehicle_tables import MonitorConfig, PreflightSettings, SeparationSettings
 from skygcs.core.geo import EAST_DEG, NOWHERE, is_nowhere
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
-from skygcs.tlog.timeline import speed_problem
+from skygcs.tlog.format import speed_problem
 
 Sysid = Annotated[int, Field(ge=1, le=255)]
 Compid = Annotated[int, Field(ge=1, le=255)]

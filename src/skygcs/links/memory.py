@@ -10,10 +10,9 @@ from itertools import count
 from typing import Any
 
 from skygcs.config import models
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.outgoing import Outgoing
 from skygcs.links.stream import StreamIntake
 
 MAX_IN_FLIGHT = 10_000

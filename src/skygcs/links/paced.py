@@ -15,10 +15,9 @@ from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecisio
 from skygcs.core.radio_link.admission_frames import Kind, ThirdPartyFrame
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
-from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority, TxQueue
 from skygcs.core.routing.source_statistics import RADIO_SOURCE
 from skygcs.core.token_bucket import TokenBucket
-from skygcs.links.outgoing import Outgoing, OwnMessage
 
 FRAME_OVERHEAD_BYTES = HEADER_V2_BYTES + CRC_BYTES
 """Header and checksum of MAVLink 2, unsigned."""

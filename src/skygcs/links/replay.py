@@ -9,15 +9,13 @@ from typing import BinaryIO
 
 from skygcs.config import models
 from skygcs.config.files import open_regular
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.outgoing import Outgoing
 from skygcs.links.stream import StreamIntake
 from skygcs.tlog.files import WINDOW_BYTES, FileWindow
-from skygcs.tlog.format import sniff
+from skygcs.tlog.format import Pace, sniff
 from skygcs.tlog.reading import LogReader
-from skygcs.tlog.timeline import Pace
 
 RECORDS_PER_TURN = 64
 RAW_BYTES_PER_TURN = 4096

@@ -17,10 +17,9 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE
 from skygcs.core.radio_link.pacing import RadioRates
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.errors import ConfigError, LinkError
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.outgoing import Outgoing
 from skygcs.links.paced import third_party_rules
 from skygcs.links.stream import SHALLOW_BYTES, QueuedChannel
 from skygcs.sim.conditions import conditions_of

@@ -17,10 +17,9 @@ from typing import Any
 
 from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
-from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority, TxQueue
 from skygcs.core.routing.peer_places import PARK_S, GarbageGauge
 from skygcs.links.base import Channel, Link
-from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.paced import AirBudget, flow_of
 from skygcs.links.reading import waiting_bytes
 

@@ -22,13 +22,12 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.core.routing.peer_places import GarbageGauge, Peer
 from skygcs.errors import LinkError, explain_address_error
 from skygcs.events import Event
 from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost
 from skygcs.links.fast_path import new_fast_path, new_out
-from skygcs.links.outgoing import Outgoing
 from skygcs.links.peers import Address, Admission, format_address, format_host, resolve
 from skygcs.links.reading import LARGEST_DATAGRAM_BYTES, Share, waiting_datagrams
 

@@ -20,12 +20,11 @@ import serial
 
 from skygcs.config import models
 from skygcs.core.mavlink.msgids import GPS_RTCM_DATA, HEARTBEAT
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority
 from skygcs.core.xbee.api_frames import BROADCAST
 from skygcs.core.xbee.modem import Heard, XBeeModem
 from skygcs.events import Event
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.reading import waiting_bytes
 from skygcs.links.serial_port import discard, open_port
 from skygcs.links.stream import READ_BYTES, RESCUE_AFTER_S, DescriptorWatcher, QueuedChannel, StreamIntake

@@ -30,7 +30,7 @@ from skygcs.errors import DaemonUnreachable
 from skygcs.rpc.address import client_address
 from skygcs.rpc.client_connection import ClientConnection, ClientTls, OnReport, Subscription, open_connection
 from skygcs.rpc.client_inbox import Encoded, Latest, Newest, Queue
-from skygcs.rpc.order_reports import BEGUN
+from skygcs.rpc.json_lines import BEGUN
 
 Targets = str | int | Sequence[str | int]
 Outcomes = dict[str, dict[str, Any]]

@@ -24,8 +24,17 @@ from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.client_inbox import Encoded, Inbox
 from skygcs.rpc.error_codes import INVALID_PARAMS
-from skygcs.rpc.json_lines import ANSWER, MAX_LINE_BYTES, MAX_REPLY_BYTES, TELEMETRY_START, LineBuffer, notification
-from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
+from skygcs.rpc.json_lines import (
+    ANSWER,
+    BEGUN,
+    MAX_LINE_BYTES,
+    MAX_REPLY_BYTES,
+    OUTCOME,
+    REPORT,
+    TELEMETRY_START,
+    LineBuffer,
+    notification,
+)
 
 if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
     import ssl
@@ -33,7 +42,7 @@ if TYPE_CHECKING:  # a client of the Unix socket needs no TLS
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
 
 OnReport = Callable[[str, dict[str, Any]], None]
-"""Gets the method and the parameters of each report (`skygcs.rpc.order_reports`) of a request that asked for them."""
+"""Gets the method and the parameters of each report (`skygcs.rpc.json_lines`) of a request that asked for them."""
 
 CONNECT_WITHIN_S = 10.0
 CONNECT_AGAIN_S = 0.01

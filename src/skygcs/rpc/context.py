@@ -12,8 +12,8 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
 from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Encoded, Method
+from skygcs.rpc.json_lines import OrderReports
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
-from skygcs.rpc.order_reports import OrderReports
 from skygcs.rpc.slices import Slices
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.alarm_book import AlarmBook

@@ -1,5 +1,5 @@
-"""JSON-RPC 2.0 as lines of bytes, for both sides of every socket: lines within a limit, and how messages begin. No I/O,
-and no pydantic, for which a command of the shell would wait.
+"""JSON-RPC 2.0 as lines of bytes, for both sides of every socket: lines within a limit, how messages begin, and the
+reports of an order before its reply. No I/O, and no pydantic, for which a command of the shell would wait.
 
 A line ends with a newline. Blank lines are ignored, and a line beyond the limit is skipped to its end.
 https://www.jsonrpc.org/specification
@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
+from typing import Any, Protocol
 
 MAX_LINE_BYTES = 1 << 20
 """Longest line that a daemon or a station takes. A request is a few hundred bytes, a full batch of the largest messages
@@ -120,3 +122,59 @@ EVENT_START = notification_start("event", "event")
 MESSAGE_START = notification_start("message", "message")
 PLAN_START = notification_start("plan", "plan")
 """How the notifications of subscriptions begin."""
+
+
+JsonObject = dict[str, Any]
+
+REPORT = "report"
+"""The member of a request that asks for the outcomes as they come."""
+
+BEGUN = "order.begun"
+OUTCOME = "order.outcome"
+
+
+class Notified(Protocol):
+    """The client of a request."""
+
+    def notify(self, method: str, params: JsonObject) -> None: ...
+
+
+class Outcome(Protocol):
+    """The outcome of an order for one vehicle."""
+
+    def as_dict(self) -> JsonObject: ...
+
+
+class OrderReports:
+    """The notifications of one request: the outcome of each vehicle while its order is still under way.
+
+    A request with the member `REPORT` ("report": true, beside "id") gets them with its id before its reply:
+
+        order.begun     at the beginning           params: request, vehicles (the names that will have an outcome); at
+                                                   a station with several sites once for ours and once for the others
+        order.outcome   once for each vehicle      params: request, vehicle, outcome (as in the reply)
+
+    The reply is the same as without it, and has every outcome: a notification may be left out for a client that does
+    not read. A request without the member gets no notification.
+    """
+
+    def __init__(self, client: Notified, request_id: str | float) -> None:
+        self._client = client
+        self.request_id = request_id
+
+    def begun(self, vehicles: Iterable[str]) -> None:
+        """The order goes to these vehicles."""
+        self._client.notify(BEGUN, {"request": self.request_id, "vehicles": list(vehicles)})
+
+    def ended(self, vehicle: str, outcome: Outcome) -> None:
+        """The order has ended for one vehicle."""
+        self.ended_with(vehicle, outcome.as_dict())
+
+    def ended_with(self, vehicle: str, outcome: JsonObject) -> None:
+        """`ended` with an outcome as the reply has it."""
+        self._client.notify(OUTCOME, {"request": self.request_id, "vehicle": vehicle, "outcome": outcome})
+
+
+def wants_reports(request: dict[str, Any]) -> str | float | None:
+    """The id under which a request asks for reports; None: it does not, or has no id to report under."""
+    return id_of(request) if request.get(REPORT) is True else None

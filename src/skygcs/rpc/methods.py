@@ -19,13 +19,11 @@ from skygcs.rpc import (
     error_codes,
     links,
     messages,
-    origin,
     vehicles,
 )
 from skygcs.rpc.context import RELAY, Context, JsonObject
-from skygcs.rpc.dispatch import DeclaredMethods, Encoded, Later, Method
+from skygcs.rpc.dispatch import DeclaredMethods, Encoded, Later, Method, document
 from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
-from skygcs.rpc.openrpc import document
 from skygcs.rpc.replies import encode
 from skygcs.runtime.loop_clock import exact_clock
 
@@ -144,7 +142,7 @@ METHODS: DeclaredMethods[Context] = DeclaredMethods(
         Method(RELAY, NoParams, operator_relay, PresenceResult, while_stopping=True),
         Method("operator.active", NoParams, operator_active, PresenceResult, while_stopping=True),
     ),
-    origin.METHODS,
+    control.ORIGIN,
     Later("params", "skygcs.rpc.params"),
     control.METHODS,
     Later("trajectory", "skygcs.rpc.trajectory"),
@@ -155,7 +153,7 @@ METHODS: DeclaredMethods[Context] = DeclaredMethods(
     links.AIR,
     links.CORRECTIONS,
     Later("fence", "skygcs.rpc.missions", "FENCE"),
-    Later("logs", "skygcs.rpc.onboard_logs"),
+    Later("logs", "skygcs.rpc.missions", "LOGS"),
     Later("signing", "skygcs.rpc.signing"),
     Later("preflight", "skygcs.rpc.params", "PREFLIGHT"),
     Later("undo", "skygcs.rpc.params", "UNDO"),

@@ -27,9 +27,8 @@ from skygcs.rpc import client_peer, dispatch, error_codes
 from skygcs.rpc.client_peer import ClientPeer
 from skygcs.rpc.context import RELAY, Context, JsonObject, ReportingContext, Services
 from skygcs.rpc.dispatch import Dispatcher, Encoded, InvalidParams, LimitExceeded, Method
-from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, REPORT, OrderReports, id_of, wants_reports
 from skygcs.rpc.models import SubscribeParams
-from skygcs.rpc.order_reports import REPORT, OrderReports, wants_reports
 from skygcs.rpc.replies import error_reply, key_twice, parse_request, unread
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.subscriptions import Feeds, Subscription

@@ -112,7 +112,7 @@ POSITION_HZ = {ControlMode.RAW: 50.0, ControlMode.ATTITUDE: 50.0, ControlMode.VE
 the autopilot closes the loop, the nav profile's 2 Hz stay."""
 
 ATTITUDE_AIDS_HZ = {"ATTITUDE": 10.0, "VFR_HUD": 5.0}
-"""Requested while attitude is wanted: tilt and throttle, from which the law's integral begins (`bumpless_transfer`)."""
+"""Requested while attitude is wanted: tilt and throttle, from which the law's integral begins (`SteadyThrust`)."""
 
 
 class ControlStreams:

@@ -19,9 +19,9 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoding import Decoder
+from skygcs.core.vehicle.flight_evidence import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
-from skygcs.core.vehicle.statustext import StatusText
-from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
+from skygcs.core.vehicle.message_cache import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.errors import TargetError
@@ -32,9 +32,9 @@ from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.flight_notes import FlightJournal, FlightNotes
-from skygcs.runtime.home_orders import WorldFrame
 from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
 from skygcs.runtime.mission_turns import MissionTurns
+from skygcs.runtime.onboard_orders import UndoOrders, WorldFrame
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.preflight_run import Unheard, examine_all
@@ -43,7 +43,6 @@ from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
-from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import (
     MAX_VEHICLES,
@@ -260,7 +259,7 @@ class Fleet:
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
 
     def may_fly(self, key: int) -> bool:
-        """True if this is a vehicle that may be under way now (`core.vehicle.supply`)."""
+        """True if this is a vehicle that may be under way now (`core.vehicle.flight_evidence`)."""
         actor = self.vehicles.get(key)
         return actor is not None and may_fly(actor.vehicle, self._loop.time())
 

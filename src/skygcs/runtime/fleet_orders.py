@@ -14,7 +14,7 @@ from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.monitor.tracks import is_flying
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle import mission_orders, orders, stop
+from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import copter_mode
 from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
@@ -23,12 +23,13 @@ from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime import home_orders, onboard_orders
+from skygcs.runtime import onboard_orders
 from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
-from skygcs.runtime.returns import Returns, Waiting, read_return_height
+from skygcs.runtime.return_members import read_return_height
+from skygcs.runtime.returns import Returns, Waiting
 from skygcs.runtime.separation_monitor import Destination, SeparationMonitor
 from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask, in_turns
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
@@ -36,7 +37,7 @@ from skygcs.runtime.vehicle_services import VehicleServices
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
 """An order is the method of VehicleActor that carries it out, `VehicleActor.arm`, or a function of
-`runtime.onboard_orders` or `runtime.home_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
+`runtime.onboard_orders` or `runtime.onboard_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
 those of the onboard logs a LogsOutcome."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
@@ -204,7 +205,7 @@ class FleetOrders:
         vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
         cancelled, the orders of `CARRIED_ON` go on, all others end; `close` ends those with an answer. Raises
         RefusedError for a stop, or a disarming of a duplicate system id, without the confirmation it needs
-        (``confirm``, see `core.vehicle.stop`). ``reports`` gets each vehicle's outcome when it comes. ``by_person``:
+        (``confirm``, see `core.vehicle.orders`). ``reports`` gets each vehicle's outcome when it comes. ``by_person``:
         False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends.
         """
         name = order.__name__
@@ -217,7 +218,7 @@ class FleetOrders:
         if order in (VehicleActor.stop, VehicleActor.disarm):
             action = arguments["action"] if order is VehicleActor.stop else "disarm"
             twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
-            stop.require_confirmed(action, twice, arguments.pop("confirm", None))
+            orders.require_confirmed(action, twice, arguments.pop("confirm", None))
         if order in CARRIED_ON:
             self._turns.taken(actors, name)
         # the serial is made here, as what is carried on begins a turn of the loop later
@@ -272,10 +273,10 @@ class FleetOrders:
         force: bool = False,
         reports: Reports | None = None,
     ) -> dict[str, Outcome]:
-        """Send the origin to each vehicle; see `home_orders.push_origin`. Raises RefusedError, TargetError."""
+        """Send the origin to each vehicle; see `onboard_orders.push_origin`. Raises RefusedError, TargetError."""
         if self._targets.origin is None:
             raise RefusedError("there is no origin to send; set one first")
-        order = home_orders.push_origin
+        order = onboard_orders.push_origin
         return await self.command_all(expression, order, self._targets.origin, reports=reports, home=home, force=force)
 
     def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
@@ -295,7 +296,7 @@ class FleetOrders:
     async def _decide(self, actors: Sequence[Actor], given: Given, arguments: dict[str, Any]) -> Decided:
         """Decide what each vehicle is to do; takes out of ``arguments`` what is only for that. Nothing is sent yet."""
         order, vehicles = given.order, [actor for actor in actors if isinstance(actor, VehicleActor)]
-        asked = {actor: actor.runner.asked(given.serial) for actor in vehicles}
+        asked = {actor: actor.runner.precedence.asked(given.serial) for actor in vehicles}
         # why it is not sent: a take-off that did not end, authority
         refusals = dict[Actor, str]()
         if order is VehicleActor.goto:
@@ -487,7 +488,7 @@ class FleetOrders:
         async def ended(actor: VehicleActor) -> str | None:
             given_in = actor.vehicle.origin_generation
             why = await actor.takeoffs.ended()
-            asked[actor] = actor.runner.asked(asked[actor].serial)
+            asked[actor] = actor.runner.precedence.asked(asked[actor].serial)
             if why is None and "enu_m" in arguments and actor.vehicle.origin_generation != given_in:
                 return "the fleet's frame was changed while it waited for the end of its take-off: order it anew"
             return why
@@ -609,8 +610,8 @@ class FleetOrders:
 
 
 def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> dict[VehicleActor, str]:
-    """Vehicles for which the order comes too late, and why; see `OrderRunner.overtaken`."""
-    late = {actor: actor.runner.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
+    """Vehicles for which the order comes too late, and why; see `OrderPrecedence.overtaken`."""
+    late = {actor: actor.runner.precedence.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
 
 

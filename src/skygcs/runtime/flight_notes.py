@@ -30,8 +30,8 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.vehicle.flight_evidence import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.flight_note import KEPT_MESSAGES, FlightNote, FlightRecord, lost_place
-from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
 from skygcs.disk_writer import DiskWriter
 from skygcs.events import Event
 from skygcs.runtime.vehicle_actor import VehicleActor

@@ -17,23 +17,20 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority
 from skygcs.core.routing.router import Router
 from skygcs.core.routing.routing_table import RoutingVerdict
 from skygcs.core.routing.send_gates import NO_TARGET, SendGates, target_of
 from skygcs.core.routing.sysid_translation import SysidTranslator
-from skygcs.core.vehicle.gate import Clearance, is_exempt, standing
+from skygcs.core.vehicle.gate import Clearance, OutgoingGate, is_exempt, standing
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.links.fast_path import new_table
-from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.reading import ReadingTurns
-from skygcs.runtime.channel_statistics import ChannelStatistics
+from skygcs.runtime.channel_statistics import ChannelStatistics, Flows, FrameObservers
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.flows import Flows, FrameObservers
 from skygcs.runtime.loop_clock import boot_clock
-from skygcs.runtime.outgoing_gate import OutgoingGate
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from typing import Any, assert_never
 
+from skygcs.config import models
 from skygcs.config.checks import added_conflicts, link_warnings
 from skygcs.config.loader import parse_link
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError, RefusedError, SkygcsError
 from skygcs.events import Event
-from skygcs.links.base import Channel, Link
-from skygcs.links.factory import make_link
-from skygcs.links.supervisor import LinkSupervisor
+from skygcs.links.base import Channel, Link, LinkHost, LinkSupervisor
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.signing_keys import Signing
 
@@ -268,3 +267,51 @@ class LinkTable:
                 row["warning"] = warnings[name]
             rows.append(row)
         return rows
+
+
+def make_link(config: models.LinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> Link:
+    """The link of this configuration, not yet open. Kinds are imported when first used: most fleets have two or
+    three."""
+    match config:
+        case models.SerialLinkConfig():
+            from skygcs.links.serial import SerialLink
+
+            return SerialLink(config, host, loop)
+        case models.XBeeLinkConfig():
+            from skygcs.links.xbee import XBeeLink
+
+            return XBeeLink(config, host, loop)
+        case models.UdpServerLinkConfig():
+            from skygcs.links.udp import UdpServerLink
+
+            return UdpServerLink(config, host, loop)
+        case models.UdpClientLinkConfig():
+            from skygcs.links.udp import UdpClientLink
+
+            return UdpClientLink(config, host, loop)
+        case models.UdpBroadcastLinkConfig():
+            from skygcs.links.udp import UdpBroadcastLink
+
+            return UdpBroadcastLink(config, host, loop)
+        case models.TcpServerLinkConfig():
+            from skygcs.links.tcp import TcpServerLink
+
+            return TcpServerLink(config, host, loop)
+        case models.TcpClientLinkConfig():
+            from skygcs.links.tcp import TcpClientLink
+
+            return TcpClientLink(config, host, loop)
+        case models.ReplayLinkConfig():
+            from skygcs.links.replay import ReplayLink
+
+            return ReplayLink(config, host, loop)
+        case models.MemoryLinkConfig():
+            from skygcs.links.memory import MemoryLink
+
+            return MemoryLink(config, host, loop)
+        case models.SimulatedLinkConfig():
+            from skygcs.links.simulated import SimulatedVehiclesLink
+
+            return SimulatedVehiclesLink(config, host, loop)
+        case _:
+            assert_never(config)

@@ -188,12 +188,12 @@ class OffboardEngagement:
         started = self._loop.time()
         try:
             # an order that takes over has an end before; what came since, from whomever, is not overtaken
-            releases, before = self._releases, self._orders.hands()
+            releases, before = self._releases, self._orders.precedence.hands()
             await self._mode_of_its_own()
             await self._handed_over()
-            if await self._orders.late("control") is not None or self._releases != releases:
+            if await self._orders.precedence.late("control") is not None or self._releases != releases:
                 return _superseded(self._loop.time() - started)
-            if (why := self._orders.pilot_since("control", before)) is not None:
+            if (why := self._orders.precedence.pilot_since("control", before)) is not None:
                 raise RefusedError(why)
             # checks
             turn = self._turn

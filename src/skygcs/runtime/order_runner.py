@@ -2,45 +2,82 @@
 
 An order is planned (`core.vehicle.orders`), then its plan is executed step by step. Refusals by the vehicle or by
 skygcs are outcomes, not exceptions; so is a cancellation. Of the orders that move the vehicle a newer one replaces an
-older one in progress; the `OrderLedger` counts them.
+older one in progress (`OrderPrecedence`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.autopilot import arms, firmware_name
 from skygcs.core.vehicle.flight_evidence import disarmed_since
 from skygcs.core.vehicle.gate import Clearance, clear_plan, clear_undo
-from skygcs.core.vehicle.order_ledger import REFUSALS, OrderLedger
+from skygcs.core.vehicle.order_ledger import REFUSALS
 from skygcs.core.vehicle.order_plan import VERIFY_S, Expectation, GoesThere, ModeIn, Plan, Step, TargetProof
 from skygcs.core.vehicle.orders import todo_for
-from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
-from skygcs.core.vehicle.takeoff_watch import reports_takeoff
+from skygcs.core.vehicle.stick_modes import Hands
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import NotReadyError, RefusedError
-from skygcs.runtime.command_client import EVERYWHERE, LATE_ACK_S, SUPERSEDED, CommandClient, Moves
+from skygcs.events import Event
+from skygcs.runtime.command_client import LATE_ACK_S, SUPERSEDED, CommandClient, Moves
 from skygcs.runtime.flight_elsewhere import FlownBySetpoints
-from skygcs.runtime.order_outcomes import OrderOutcomes
-from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, OWN, Asked, ask, numbered
+from skygcs.runtime.order_precedence import ARMING, ENDING, MOVING, OrderPrecedence, arms_in, commands_of
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, OWN, numbered
 
-MOVING = frozenset(
-    {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
-)
-"""Orders that replace the one in progress."""
 
-ARMING = frozenset({"arm"})
-"""Orders that arm and move nothing yet."""
+class OrderOutcomes:
+    """The outcomes of the orders to one vehicle: each that begins is reported once when it has ended."""
 
-ENDING = EVERYWHERE | {"stop"}
-"""Orders that end a flight; they replace an arming in progress, too."""
+    def __init__(self, vehicle: Vehicle, loop: asyncio.AbstractEventLoop, on_event: Callable[[Event], None]) -> None:
+        self._vehicle = vehicle
+        self._loop = loop
+        self._on_event = on_event
+        self._under_way: Counter[str] = Counter()
+
+    @contextmanager
+    def tracked(self, order: str) -> Iterator[Callable[[Outcome], Outcome]]:
+        """An order is under way in a block, which passes its outcome to the function that is yielded: that reports and
+        returns it. If the block is cancelled, that is the outcome."""
+        started = self._loop.time()
+        self._under_way[order] += 1
+        try:
+            yield partial(self.finish, order)
+        except asyncio.CancelledError:
+            text = "cancelled: the client that gave it is gone; what was sent already cannot be undone"
+            self.finish(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
+            raise
+        finally:
+            self._under_way[order] -= 1
+
+    def cut_stops(self, why: str) -> None:
+        """Report each stop that is under way as lost, which is an alarm: it will not be repeated any more."""
+        for _ in range(self._under_way["stop"]):
+            self.finish("stop", Outcome(False, "lost", f"{why}: the stop was not confirmed, order it again"))
+
+    def finish(self, order: str, outcome: Outcome) -> Outcome:
+        """Report the outcome of an order that has ended."""
+        self._publish(f"{order}: {outcome.message}", {"order": order, **outcome.as_dict()})
+        return outcome
+
+    def report_progress(self, order: str, percent: int | None) -> None:
+        """Report that an order is in progress."""
+        progress = "" if percent is None else f" {percent} %"
+        data = {"order": order, "result": "in_progress", "percent": percent}
+        self._publish(f"{order}: in progress{progress}", data)
+
+    def _publish(self, text: str, data: dict[str, Any]) -> None:
+        self._on_event(Event("command", self._vehicle.name, self._vehicle.sysid, text, data))
+
 
 RETRY_S = 1.0
 """ArduPilot's estimator converges some ten seconds after the start; one attempt a second costs 90 B/s of the link."""
@@ -113,7 +150,8 @@ class OrderRunner:
     ) -> None:
         """``order_refusal``: why a plan is not executed; None: it may be. ``first_number``: see `OrderLedger`."""
         # state that others read, and callbacks
-        self.ledger = OrderLedger(first_number)
+        self.precedence = OrderPrecedence(vehicle, loop, first_number)
+        self.ledger = self.precedence.ledger
         self.flown_by: FlownBySetpoints | None = None
         """Its flight by setpoints, from which a plan that moves the vehicle takes over."""
         self.on_carried_out: Callable[[Plan], None] = lambda plan: None
@@ -133,8 +171,6 @@ class OrderRunner:
         self._newest: Plan | None = None
         self._waiting = 0
         """Orders that move the vehicle and are repeated until it accepts them (`retry`)."""
-        self._order_ended = asyncio.Event()
-        """Set at each end of a plan in progress, or of an order that is repeated."""
         self._ending = False
         self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
         """Plans that can be undone: each has a task of its own, which undoes it even if its caller is cancelled."""
@@ -149,96 +185,51 @@ class OrderRunner:
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """`run`, repeated until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle gives a
         reason that does not pass with time; the outcome then states what to do."""
-        moves = order in MOVING
+        moves, started, were_in, attempts = order in MOVING, self._loop.time(), self.precedence.hands(), 0
         self._waiting += moves
         try:
             with numbered(), self._outcomes.tracked(order) as ended:
-                return ended(await self._tries(order, planner, wait_s))
+                while True:
+                    # one attempt
+                    tried_at, before = self._loop.time(), self.ledger.number
+                    outcome = await self.attempt(planner)
+                    attempts += outcome.attempts
+                    outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
+                    # the last one: nothing that time mends, superseded, or out of time
+                    superseded = self.ledger.number > before + moves
+                    over = superseded or tried_at + RETRY_S > started + wait_s
+                    if (todo := self._todo_after(outcome)) is not None or over or outcome.ok or outcome.result in FINAL:
+                        return ended(outcome if todo is None else replace(outcome, message=todo))
+                    # wait for the next attempt
+                    before = self.ledger.number
+                    await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
+                    if (changed := self._changed_meanwhile(order, outcome, before, started, were_in)) is not None:
+                        return ended(changed)
         finally:
             self._waiting -= moves
-            self._order_ended.set()
+            self.precedence.note_end()
 
-    def asked(self, serial: int | None = None) -> Asked:
-        """Note that an order is asked for which does not go out at once. ``serial``: None: that of the present task,
-        or, in an order of the daemon's own, that of the last order so far."""
-        vehicle = self._vehicle
-        changing = self.ledger.in_progress > 0 or reports_takeoff(vehicle, self._loop.time())
-        serial = (ORDER_SERIAL.get() or self.ledger.effective_serial) if serial is None else serial
-        return Asked(serial, None if changing else vehicle.custom_mode, self.ledger.number)
+    def _todo_after(self, outcome: Outcome) -> str | None:
+        """The message with what the operator has to do first; None: nothing that the vehicle has said needs that."""
+        todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
+        if todo is None or todo in outcome.message:  # said by the step
+            return None if todo is None else outcome.message
+        return f"{outcome.message}; {todo}"
 
-    def overtaken(self, asked: Asked, *, by_mode: bool = True) -> str | None:
-        """Why an order that has waited since ``asked`` must not be sent any more; None: it may be. An order that was
-        asked for later moves the vehicle, or may, or, with ``by_mode``, the mode has changed. Neither orders of the
-        daemon's own count, nor those that the vehicle has refused."""
-        switched = self._switched(asked) if by_mode else None
-        if self.ledger.effective_serial > asked.serial or (
-            switched is not None and self.ledger.is_behind(asked.serial)
-        ):
-            return SUPERSEDED
-        return switched
-
-    def taken_by_pilot(self, asked: Asked) -> str | None:
-        """Why what changes the mode must not be sent any more: the mode was switched since ``asked``, and neither by an
-        order of ours nor by a failsafe of the vehicle. None: it may be."""
-        ours = self.ledger.number != asked.number or self._vehicle.failsafe
-        return None if ours else self._switched(asked)
-
-    def hands(self) -> Hands:
-        """Whose hands the vehicle is in now."""
-        return hands(self._vehicle, self._loop.time())
-
-    def _taken(self, plan: Plan, before: Hands, *, asked_now: bool) -> str | None:
-        """Why a plan is left to the pilot of a vehicle that was in the hands ``before`` when it began; None: it is
-        sent. One that ends the flight always is if a person gives it (``asked_now``)."""
-        if self._vehicle.mode in plan.spares:
-            return f"it is in {self._vehicle.mode}"
-        if _arms(plan) and (why := disarmed_since(self._vehicle, before.at)) is not None:
-            return why
-        if plan.emergency or plan.final or (plan.order in EVERYWHERE and asked_now):
-            return None
-        return self.pilot_since(plan.order, before)
-
-    def _taken_in(self, run: _PlanInProgress) -> str | None:
-        return self._taken(run.plan, run.were_in, asked_now=run.asked_now)
-
-    def pilot_since(self, order: str, before: Hands) -> str | None:
-        """`taken_since` of an order that moves the vehicle or arms it; a mode that the vehicle has accepted from us and
-        that shows late is not its pilot's."""
-        vehicle = self._vehicle
-        if order not in ARMING | MOVING:
-            return None
-        if self.ledger.is_own_mode(vehicle.custom_mode, vehicle.mode_changes, vehicle.mode_since):
-            before = before._replace(stick_mode=vehicle.mode)
-        if order in MOVING:
-            return taken_since(vehicle, self._loop.time(), before)
-        why = taken_since(vehicle, self._loop.time(), before._replace(armed=True))
-        return why and f"{why}; order it again to arm it in {vehicle.mode}"
-
-    def _switched(self, asked: Asked) -> str | None:
-        if asked.custom_mode is None or self._vehicle.custom_mode == asked.custom_mode:
-            return None
-        return f"it was switched to {self._vehicle.mode} while this order waited"
-
-    async def late(self, order: str = "goto") -> str | None:
-        """Why an order of the present task, which moves the vehicle, must not be sent: one that was asked for later
-        moves it, or may. None: it may be. The end of a later one that is in progress is awaited, as the vehicle may
-        refuse that."""
-        serial = ORDER_SERIAL.get()
-        if not serial or order not in MOVING or order == "stop":
-            return None
-        while self.ledger.is_behind(serial) and self.ledger.effective_serial <= serial:
-            self._order_ended.clear()
-            await self._order_ended.wait()
-        return self.superseded()
-
-    def superseded(self) -> str | None:
-        """Why the order of the present task must not take effect: one that was asked for later has; None: it may."""
-        return SUPERSEDED if self.ledger.effective_serial > (ORDER_SERIAL.get() or math.inf) else None
-
-    def note_effect(self) -> None:
-        """The order of the present task moves the vehicle without a plan: under control by setpoints."""
-        serial = ORDER_SERIAL.get()
-        self.ledger.note_effect(ask() if serial is None else serial)
+    def _changed_meanwhile(
+        self, order: str, outcome: Outcome, number: int, started: float, were_in: Hands
+    ) -> Outcome | None:
+        """The outcome of an order that is not tried again after this one: a newer order than ``number`` came since,
+        or since it ``started`` the vehicle was armed or disarmed, or taken by its pilot. None: it is tried again."""
+        if self.ledger.number != number:
+            return replace(outcome, result="cancelled", message=SUPERSEDED)
+        if order in ARMING and (why := disarmed_since(self._vehicle, started)) is not None:
+            return replace(outcome, result="refused", message=f"refused: {why}")
+        if order in ARMING and self._armed_since(started):
+            return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
+        if (why := self.precedence.pilot_since(order, were_in)) is not None:
+            return replace(outcome, result="refused", message=f"refused: {why}")
+        return None
 
     async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
         """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
@@ -248,8 +239,7 @@ class OrderRunner:
             unknown = f"it has no order {number} of this run of skygcs; without a number hold ends whatever moves it"
             return self._outcomes.finish(order, Outcome.refused(unknown))
         while self.ledger.in_progress or self._waiting:
-            self._order_ended.clear()
-            await self._order_ended.wait()
+            await self.precedence.next_end()
         if self.ledger.effective > number:
             newer = f"a newer order moves it, or may move it (number {self.ledger.effective})"
             return self._outcomes.finish(order, Outcome.refused(newer))
@@ -262,11 +252,12 @@ class OrderRunner:
         setpoints, which ends for this ``reason`` (None: the order's name) once the order has taken effect. This is the
         gate of orders: each has a serial from here on, and one that comes too late is refused."""
         with numbered():
-            before = self.hands()
+            before = self.precedence.hands()
             try:
                 plan = planner(self._loop.time())
                 if not plan.emergency and self.ledger.is_behind(ORDER_SERIAL.get() or OWN):
-                    late = await self.late(plan.order) or self._taken(plan, before, asked_now=ASKED_NOW.get())
+                    late = await self.precedence.late(plan.order)
+                    late = late or self.precedence.taken(plan, before, asked_now=ASKED_NOW.get())
                     if late is not None:
                         return Outcome.refused(late)
                     plan = planner(self._loop.time())
@@ -330,16 +321,16 @@ class OrderRunner:
         """
         carry_out = self._steps if all(step.undo is None for step in plan.steps[:-1]) else self._undoably
         if plan.order not in MOVING:
-            return await carry_out(_PlanInProgress(plan, self.ledger.number, clearance, self.hands()))
+            return await carry_out(_PlanInProgress(plan, self.ledger.number, clearance, self.precedence.hands()))
         self._newest, mode, ends_flight = plan, self._vehicle.custom_mode, plan.order in ENDING
-        self._commands.supersede(_commands(plan), ends_flight=ends_flight)
+        self._commands.supersede(commands_of(plan), ends_flight=ends_flight)
         number = self.ledger.begins(plan.order, ORDER_SERIAL.get() or OWN, ends_flight=ends_flight)
-        run, ended = _PlanInProgress(plan, number, clearance, self.hands()), None
+        run, ended = _PlanInProgress(plan, number, clearance, self.precedence.hands()), None
         try:
             ended = await carry_out(run)
         finally:
             self.ledger.ended(number, ended, changed=any(map(_sets_mode, run.done)))
-            self._order_ended.set()
+            self.precedence.note_end()
         outcome = replace(ended, order_number=number)
         if outcome.ok and self.ledger.number == number and (plan.order != "mode" or self._vehicle.custom_mode != mode):
             self.on_carried_out(plan)
@@ -420,7 +411,7 @@ class OrderRunner:
             if not outcome.ok:
                 outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
-                why = disarmed_since(self._vehicle, run.were_in.at) if _arms(plan) else None
+                why = disarmed_since(self._vehicle, run.were_in.at) if arms_in(plan) else None
                 if why is not None and outcome.result != "refused":
                     outcome, message = replace(outcome, result="refused"), f"{message}; {why}"  # not tried again
                 if number == self.ledger.number:
@@ -527,19 +518,22 @@ class OrderRunner:
         def armed() -> bool:
             return arms(spec) and self._armed_since(run.were_in.at)
 
-        if _arms(plan) and plan.order not in MOVING:
+        if arms_in(plan) and plan.order not in MOVING:
             return Moves(lambda: not self.ledger.flight_ended_since(number), taken, ended_only=True, done=armed)
         if plan.order not in MOVING or plan.final:
             return None
 
         def wanted() -> bool:
-            return self.ledger.number == number or (self._newest is not None and spec in _commands(self._newest))
+            return self.ledger.number == number or (self._newest is not None and spec in commands_of(self._newest))
 
         def accepted() -> None:
             if isinstance(expect, ModeIn):
                 self.ledger.mode_accepted(expect.custom_modes, mode_changes, self._loop.time() + VERIFY_S)
 
         return Moves(wanted, taken, done=armed, accepted=accepted)
+
+    def _taken_in(self, run: _PlanInProgress) -> str | None:
+        return self.precedence.taken(run.plan, run.were_in, asked_now=run.asked_now)
 
     def _armed_since(self, at: float) -> bool:
         return self._vehicle.armed and self._vehicle.armed_at > at
@@ -670,38 +664,7 @@ class OrderRunner:
             clearance = clear_undo(model_of(self._vehicle, self._loop.time()), run.plan.order, undo)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return await self._step(undo, _PlanInProgress(run.plan, run.number, clearance, self.hands()))
-
-    async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        """Attempt an order until `retry` is over."""
-        started, were_in = self._loop.time(), self.hands()
-        attempts = 0
-        while True:
-            tried_at, before = self._loop.time(), self.ledger.number
-            outcome = await self.attempt(planner)
-            attempts += outcome.attempts
-            outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
-            # a reason that the operator has to remove
-            todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
-            if todo is not None:
-                said = todo in outcome.message  # by the step
-                return outcome if said else replace(outcome, message=f"{outcome.message}; {todo}")
-            # the last attempt: accepted, refused for good, superseded, or out of time
-            superseded = self.ledger.number > before + (order in MOVING)
-            over = superseded or tried_at + RETRY_S > started + wait_s
-            if over or outcome.ok or outcome.result in FINAL:
-                return outcome
-            # wait for the next attempt
-            before = self.ledger.number
-            await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
-            if self.ledger.number != before:
-                return replace(outcome, result="cancelled", message=SUPERSEDED)
-            if order in ARMING and (why := disarmed_since(self._vehicle, started)) is not None:
-                return replace(outcome, result="refused", message=f"refused: {why}")
-            if order in ARMING and self._armed_since(started):
-                return replace(outcome, ok=True, result="accepted", message="it was armed meanwhile")
-            if (why := self.pilot_since(order, were_in)) is not None:
-                return replace(outcome, result="refused", message=f"refused: {why}")
+        return await self._step(undo, _PlanInProgress(run.plan, run.number, clearance, self.precedence.hands()))
 
     def _is_ambiguous(self, plan: Plan) -> bool:
         """True if two vehicles have the system id and the plan is not one that both may take."""
@@ -723,13 +686,5 @@ def duplicate_refusal(vehicle: Vehicle) -> Outcome:
     return Outcome(False, "refused", f"refused: {text}")
 
 
-def _arms(plan: Plan) -> bool:
-    return any(arms(spec) for spec in _commands(plan))
-
-
 def _sets_mode(step: Step) -> bool:
     return isinstance(step.expect, ModeIn)
-
-
-def _commands(plan: Plan) -> list[CommandSpec]:
-    return [step.command for step in plan.steps if step.command is not None]

@@ -17,11 +17,11 @@ from collections.abc import Callable, Coroutine, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+from skygcs.core.mavlink import param_encoding
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
-from skygcs.core.params import pck
 from skygcs.core.params.names import other_name
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.command import MAX_TEXTS
@@ -78,7 +78,7 @@ def params_of(outcome: FileOutcome, heard: Mapping[str, Param]) -> tuple[Param, 
     with a message for the user if some are missing."""
     if not outcome.ok:
         raise ValueError(outcome.message)
-    held = pck.decode(outcome.data)
+    held = param_encoding.decode_packed(outcome.data)
     if not held.params or len(held.params) != held.total:
         raise ValueError(f"it contains {len(held.params)} of {held.total} parameters")
     return tuple(heard.get(p.name, p) for p in held.params)
@@ -520,7 +520,9 @@ class VehicleParams:
         self._changed.clear()
         self._file_running = True
         try:
-            outcome = await self._download(pck.PATH, pck.MAX_BYTES, burst=burst, bytes_per_s=bytes_per_s)
+            outcome = await self._download(
+                param_encoding.PACKED_PATH, param_encoding.MAX_PACKED_BYTES, burst=burst, bytes_per_s=bytes_per_s
+            )
         finally:
             self.progress = None
             self._file_running = False

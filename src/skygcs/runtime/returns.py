@@ -37,33 +37,25 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal
 
-from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
-from skygcs.core.monitor.conflict_levels import COMING_HOME, LANDING
+from skygcs.core.monitor.conflict_levels import COMING_HOME
 from skygcs.core.monitor.departures import (
     AT_A_TURN,
     MOVED_M,
     STUCK_S,
-    UNKNOWN,
     Departures,
     Progress,
-    ReturnHeight,
     Returning,
     departing,
     is_placed,
-    known_return_height,
     one_at_a_time,
-    return_height,
     why_not_held,
 )
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.monitor.ways import Way, column, too_near
+from skygcs.core.monitor.ways import Way
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.fence_params import CLEARANCE_M, NAMES, has_known_fence, known_ceiling_m
-from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, HomeWatch
 from skygcs.core.vehicle.orders import Where, goto
-from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
+from skygcs.runtime.return_members import TAKES_S, ReturnMembers, frame_at
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, in_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -86,16 +78,7 @@ AtEnd = Literal["hold", "land"]
 HOLDS_IN = frozenset({"AUTO.LOITER", "GUIDED", "BRAKE"})
 """Modes of a PX4 and of an ArduCopter in which an order to hold leaves it."""
 
-ELSEWHERE = frozenset({"goto", "hold", "takeoff"})
-"""Orders after which a vehicle is no longer on its way home by an older one."""
-
-LANDS = frozenset({"land", "stop"})
-"""Orders that may bring it down where it is, from the moment they are sent."""
-
 NEWER = "it does not return by this order: a newer order took its place"
-
-TAKES_S = 10.0
-"""So long after its order a vehicle counts as on its way home, whatever mode it reports: an order is sent for 7 s."""
 
 
 class Step(Enum):
@@ -156,21 +139,9 @@ class Returns:
         self._loop = loop
         self._on_event = on_event
         self._tasks = TaskSet(loop, on_event)
-        self._members: dict[int, VehicleActor] = {}
-        """All that were ordered to return while others waited, or come home by themselves, until none of them is under
-        way."""
         self._waiting: dict[int, Waiting] = {}
+        self._members = ReturnMembers(monitor, loop, self._tasks, self._goal_m)
         self._deciding = asyncio.Lock()
-        self._left_at: dict[int, tuple[float, int]] = {}
-        self._heights: dict[int, ReturnHeight] = {}
-        """Heights that were read in this round, where the vehicle itself keeps none."""
-        self._reading: dict[int, asyncio.Task[None]] = {}
-        self._seen: dict[int, tuple[Returning, float]] = {}
-        """Each member where its place was known last, and when that was."""
-        self._homes: dict[int, HomeWatch] = {}
-        self._staying: set[int] = set()
-        """Members that hold at the end of their return, for good."""
-        self._frame: EnuFrame | None = None
         self._running: asyncio.Task[None] | None = None
         self._progress = Progress()
         self._given_up: dict[int, int] = {}
@@ -207,13 +178,14 @@ class Returns:
             return {}
         # a repeated order keeps those that have already left as members
         if not self._waiting:
-            self._new_round(_frame(known[0].vehicle))
-        self._members |= {actor.vehicle.key: actor for actor in known}
+            self._members.begin_round(frame_at(known[0].vehicle))
+            self._given_up = {key: order for key, order in self._given_up.items() if key in self._vehicles}
+        self._members.add(known)
         # who goes home already, or by its own failsafe, is not held
         free = [actor for actor in known if why_not_held(actor.vehicle) is None and not self._leaves(actor)]
         for actor in known:
             if actor not in free:
-                self._leaves_now(actor)
+                self._members.leaves_now(actor)
         decided = await self._decide(free, alone=alone is not None)
         if alone is not None and alone.vehicle.key in decided.leave:
             self._join(alone)
@@ -234,22 +206,9 @@ class Returns:
                 waits.has_waited, waits.order_number = True, older.order_number
                 waits.goal_m, waits.custom_mode = older.goal_m, older.custom_mode
             if step is Step.LEAVES:
-                self._leaves_now(actor)
+                self._members.leaves_now(actor)
             self._waiting[key] = begun[actor] = waits
         return begun
-
-    def _new_round(self, frame: EnuFrame) -> None:
-        """Nobody waits any more: forget the members, but those that are seen on their way home. One that is lost keeps
-        nobody in the air."""
-        now = self._loop.time()
-        seen = {key: actor for key, actor in self._members.items() if actor.vehicle.connected and not actor.closed}
-        self._members = {key: actor for key, actor in seen.items() if self._is_under_way(actor, now)}
-        self._left_at = {key: at for key, at in self._left_at.items() if key in self._members}
-        self._given_up = {key: order for key, order in self._given_up.items() if key in self._vehicles}
-        for table in (self._homes, self._heights, self._seen):
-            table.clear()
-        self._staying.clear()
-        self._frame = frame
 
     async def carry_out(self, waits: Waiting) -> Outcome:
         """The order to return of one of those of `begin`: it leaves, or holds until its way is clear. One that cannot
@@ -281,18 +240,8 @@ class Returns:
     def _join(self, actor: VehicleActor) -> None:
         """A single vehicle is sent home: those that wait, or are to, keep clear of its way, too."""
         self._leave_out_gone()
-        self._members[actor.vehicle.key] = actor
-        self._leaves_now(actor)
-
-    def _leaves_now(self, actor: VehicleActor) -> None:
-        self._left_at[actor.vehicle.key] = self._loop.time(), actor.runner.ledger.number
-
-    def _has_left(self, actor: VehicleActor, now: float) -> bool:
-        """True if it was sent home in the last `TAKES_S`, and nowhere else since."""
-        at, number = self._left_at.get(actor.vehicle.key, (-math.inf, 0))
-        ledger = actor.runner.ledger
-        elsewhere = ledger.effective > number and ledger.effective_order in ELSEWHERE
-        return now - at < TAKES_S and not elsewhere
+        self._members.add((actor,))
+        self._members.leaves_now(actor)
 
     def waits(self, key: int) -> bool:
         """True if the vehicle holds, or climbs, until it is sent home by this round."""
@@ -331,7 +280,7 @@ class Returns:
         goes_on = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
         if waits.has_waited and goes_on:  # by the order before
             waits.step = Step.WAITS
-            actor.runner.note_effect()
+            actor.runner.precedence.note_effect()
             self._report(actor, text)
             return Outcome(True, "accepted", text, order_number=waits.order_number)
         outcome = await actor.hold(spares=COMING_HOME)
@@ -347,7 +296,7 @@ class Returns:
         if outcome.result == "cancelled" or waits.has_waited:
             return outcome
         waits.step = Step.LEAVES
-        self._leaves_now(actor)
+        self._members.leaves_now(actor)
         return await self._return_now(waits)
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
@@ -388,19 +337,18 @@ class Returns:
                     if self._loop.time() - whole_at > STUCK_S:
                         self._let_go("a fault inside skygcs")
         finally:
-            for task in self._reading.values():
-                task.cancel()
-            self._reading.clear()
+            self._members.end_reading()
 
     async def _look_again(self) -> None:
-        self._read_settings()
+        self._members.read_settings()
         async with self._deciding:
             self._leave_out_gone()
-            self._look_home()
+            for actor in self._members.look_home():
+                self._report(actor, "it holds at the end of its return: those that wait fly home above it, if at all")
             waiting = [waits for waits in self._waiting.values() if waits.step is Step.WAITS]
             ready = [waits.actor for waits in waiting if self._is_ours(waits)]
             self._carry_out(await self._decide(ready))
-        if not self._moves() and self._is_read():
+        if not self._moves() and self._members.is_read():
             self._give_up([(waits, waits.told) for waits in self._waiting.values()])
 
     def _report_fault(self, what: str, error: Exception) -> None:
@@ -413,9 +361,7 @@ class Returns:
         """Vehicles that were forgotten are not in the way any more."""
         for waits in [waits for waits in self._waiting.values() if waits.actor.closed]:
             self._drop(waits, "it does not wait any more to return: it was forgotten")
-        for key in [key for key, actor in self._members.items() if actor.closed]:
-            del self._members[key]
-            self._staying.discard(key)
+        self._members.leave_out_gone()
 
     def _is_current(self, waits: Waiting) -> bool:
         """False once it was dropped, or another order to return took its place."""
@@ -471,18 +417,18 @@ class Returns:
     def _gone(self, waits: Waiting) -> None:
         """Note that a vehicle is on its way home."""
         self._drop(waits, None)
-        self._leaves_now(waits.actor)
+        self._members.leaves_now(waits.actor)
 
     def _leaves(self, actor: VehicleActor) -> bool:
         waits = self._waiting.get(actor.vehicle.key)
         return waits is not None and waits.step is Step.LEAVES
 
     def _is_under_way(self, actor: VehicleActor, now: float) -> bool:
-        """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`."""
-        key, vehicle = actor.vehicle.key, actor.vehicle
-        left = self._has_left(actor, now) or self._leaves(actor)
-        comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
-        return is_flying(vehicle, now) and key not in self._staying and comes
+        return self._members.is_under_way(actor, now, leaves=self._leaves(actor))
+
+    def _goal_m(self, key: int) -> float | None:
+        waits = self._waiting.get(key)
+        return None if waits is None else waits.goal_m
 
     async def _decide(self, free: Sequence[VehicleActor], *, alone: bool = False) -> Departures:
         """The decision for these, in turns with others. After a fault they leave one at a time. ``alone``: one that is
@@ -494,17 +440,17 @@ class Returns:
             now = self._loop.time()
             if alone:
                 return Departures(tuple(actor.vehicle.key for actor in free))
-            ahead = [a.name for a in self._members.values() if a not in free and self._is_under_way(a, now)]
+            ahead = [a.name for a in self._members.actors() if a not in free and self._is_under_way(a, now)]
             return one_at_a_time({actor.vehicle.key: actor.name for actor in free}, ahead)
 
     async def _decide_by_ways(self, free: Sequence[VehicleActor], *, alone: bool) -> Departures:
         now = self._loop.time()
-        self._join_those_that_come_home(now)
-        waiting = [one for actor in free if (one := self._returning(actor, now)) is not None]
+        self._members.add_those_that_come_home(self._vehicles, now)
+        waiting = [one for actor in free if (one := self._members.returning(actor, now)) is not None]
         under_way: list[Returning] = []
         fixed: list[Way] = []
-        for actor in self._members.values():
-            one = None if actor in free else self._returning(actor, now)
+        for actor in self._members.actors():
+            one = None if actor in free else self._members.returning(actor, now)
             if one is None:
                 continue
             flies, comes = is_flying(actor.vehicle, now), self._is_under_way(actor, now)
@@ -513,8 +459,8 @@ class Returns:
             if silent or not comes:
                 fixed.append(replace(one.place(), doing="in the air" if flies else "parked"))
         # those that are not ordered to return
-        stays, moving = set(self._staying), set[str]()
-        frame = _frame(free[0].vehicle) if self._frame is None and free else self._frame
+        stays, moving = set(self._members.staying), set[str]()
+        frame = frame_at(free[0].vehicle) if self._members.frame is None and free else self._members.frame
         present = () if frame is None else self._monitor.present_ways(frame, self._members.keys())
         for n, (way, still) in enumerate(present):
             if n % AT_A_TURN == AT_A_TURN - 1:
@@ -529,15 +475,8 @@ class Returns:
         decided = await in_turns(departing(waiting, under_way, fixed, stays))
         if any(name in moving for names in decided.waits_for.values() for name in names):
             self._progress.moved_at = now
-        self._fenced = tuple(sorted(self._members[key].name for key in decided.fenced))
+        self._fenced = tuple(sorted(self._members.names(decided.fenced)))
         return decided
-
-    def _join_those_that_come_home(self, now: float) -> None:
-        """Join those that come home by whatever order, pilot or failsafe: their ways are those of a return."""
-        for key, actor in self._vehicles.items():
-            comes = actor.vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
-            if key not in self._members and comes and is_placed(actor.vehicle, now):
-                self._members[key] = actor
 
     def _carry_out(self, decided: Departures) -> None:
         now = self._loop.time()
@@ -555,11 +494,11 @@ class Returns:
                 continue  # its own failsafe may be about to act, and must not be broken off
             waits.step = Step.LEAVES if goal_m is None else Step.CLIMBS
             if goal_m is None:
-                self._leaves_now(waits.actor)
+                self._members.leaves_now(waits.actor)
             work = self._leave(waits) if goal_m is None else self._climb(waits, goal_m)
             self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
-        if self._is_read():  # what was not ordered to return may be ordered away yet
-            for_good = {self._members[key].name for key in self._staying}
+        if self._members.is_read():  # what was not ordered to return may be ordered away yet
+            for_good = self._members.names(self._members.staying)
             stuck = [(key, names) for key, names in decided.stuck.items() if for_good.issuperset(names)]
             self._give_up([(self._waiting[key], names) for key, names in stuck if key in self._waiting])
 
@@ -581,11 +520,11 @@ class Returns:
             waits.step = Step.WAITS
             return
         actor, now = waits.actor, self._loop.time()
-        one = self._returning(actor, now)
-        if one is None or self._frame is None:
+        one = self._members.returning(actor, now)
+        if one is None or self._members.frame is None:
             self._ordered(waits, Outcome.refused("its place is not known"))
             return
-        lat_deg, lon_deg, alt_amsl_m = self._frame.to_geodetic(*one.here[:2], goal_m)
+        lat_deg, lon_deg, alt_amsl_m = self._members.frame.to_geodetic(*one.here[:2], goal_m)
         home_amsl_m = actor.vehicle.home_alt_amsl_m()
         over = [name for name in waits.told if name not in {other.actor.name for other in self._waiting.values()}]
         above = f"{enumerated(over)}, and returns then" if over else "the way home of others, and waits there"
@@ -612,28 +551,13 @@ class Returns:
         if not outcome.ok:
             waits.retry_at = self._loop.time() + AGAIN_S
 
-    def _look_home(self) -> None:
-        """Note who holds at the end of its return."""
-        now = self._loop.time()
-        for key, actor in self._members.items():
-            vehicle, flying = actor.vehicle, is_flying(actor.vehicle, now)
-            home_s = self._homes.setdefault(key, HomeWatch()).stays_s(vehicle, now, flying=flying)
-            rule = vehicle.return_rule(now)
-            holds = rule.known and not rule.markers and rule.end is ReturnEnd.HOLDS
-            holds = holds and vehicle.connected and not vehicle.failsafe
-            if not (flying and holds and vehicle.mode in MISSION_RETURN_MODES and home_s >= HOME_S):
-                self._staying.discard(key)
-            elif key not in self._staying:
-                self._staying.add(key)
-                self._report(actor, "it holds at the end of its return: those that wait fly home above it, if at all")
-
     def _moves(self) -> bool:
         """True if one of them has moved, or landed, of late; see `Progress`."""
         now = self._loop.time()
         for key, actor in self._members.items():
-            one = self._returning(actor, now)
+            one = self._members.returning(actor, now)
             here = None if one is None or not is_flying(actor.vehicle, now) else one.here
-            left = self._has_left(actor, now)
+            left = self._members.has_left(actor, now)
             ours = left or key in self._waiting or actor.vehicle.mode in COMING_HOME
             self._progress.note(key, here, now, ours=ours)
         return self._progress.goes_on(now)
@@ -647,7 +571,7 @@ class Returns:
             text = self._why_given_up(names) if heard else "it is not heard"
             self._drop(waits, None)
             self._given_up[actor.vehicle.key] = actor.runner.ledger.effective
-            below = self._below(actor)
+            below = self._members.below(actor)
             if waits.at_end == "land" and not below:
                 self._report(actor, f"{text}: it lands where it is", given_up=True)
                 self._tasks.start(self._land(waits), f"landing of {actor.name}", waits.serial)
@@ -660,25 +584,12 @@ class Returns:
                 self._report(actor, f"{text}: it holds and does not return; {todo}", given_up=True)
 
     def _why_given_up(self, names: Sequence[str]) -> str:
-        staying = {self._members[key].name for key in self._staying}
+        staying = self._members.names(self._members.staying)
         stays = "stays" if len(names) == 1 else "stay"
         held = [name for name in names if name in staying]
         at_end = f" ({enumerated(held)} after a return that ends in a hold)" if held else ""
         low = f", and {enumerated(self._fenced)} would have to climb out of its own fence" if self._fenced else ""
         return f"{enumerated(names)} {stays} in its way home{at_end}{low}"
-
-    def _below(self, actor: VehicleActor) -> list[str]:
-        """Name those onto which it would come down where it is, in the air or on the ground."""
-        now = self._loop.time()
-        one = self._returning(actor, now)
-        if one is None:
-            return []
-        down = replace(one.place(), legs=(column(one.here, one.home[2]),))
-        others = [self._returning(other, now) for other in self._members.values() if other is not actor]
-        ways = [other.place() for other in others if other is not None]
-        if self._frame is not None:
-            ways += [way for way, _ in self._monitor.present_ways(self._frame, self._members.keys(), parked=True)]
-        return [way.name for way in ways if too_near(down, way)]
 
     async def _land(self, waits: Waiting) -> None:
         """A turn of the loop after it was given up: unless its pilot took it, or something else was ordered."""
@@ -687,75 +598,6 @@ class Returns:
         if ours and why_not_held(actor.vehicle) is None:
             await actor.land()
 
-    def _read_settings(self) -> None:
-        """Begin to read the return height of each, until which any height is taken to be possible, and how it ends."""
-        for key, actor in self._members.items():
-            if key not in self._reading:
-                self._reading[key] = self._tasks.start(self._read(actor), f"return height of {actor.name}")
-
-    def _is_read(self) -> bool:
-        """True if the settings of all have been read, as far as they answer."""
-        return all(key in self._reading and self._reading[key].done() for key in self._members)
-
-    async def _read(self, actor: VehicleActor) -> None:
-        if known_return_height(actor.vehicle) is UNKNOWN:
-            height = await read_return_height(actor)
-            if height is not UNKNOWN:
-                self._heights[actor.vehicle.key] = height
-        fence = NAMES[actor.vehicle.family] if has_known_fence(actor.vehicle) else ()
-        for name in (*actor.vehicle.abilities.return_params, *fence):
-            if actor.vehicle.param(name) is None:
-                await actor.params.get(name)
-
-    def _returning(self, actor: VehicleActor, now: float) -> Returning | None:
-        """A member, where it is now, or was when that was known last; None if it or its home never was."""
-        vehicle = actor.vehicle
-        position, at = vehicle.timed_telemetry("position")
-        home = vehicle.telemetry("home")
-        if position is None or at is None or home is None or self._frame is None or position["lat_deg"] is None:
-            seen = self._seen.get(vehicle.key)
-            return None if seen is None else replace(seen[0], age_s=max(0.0, now - seen[1]))
-        waits = self._waiting.get(vehicle.key)
-        height, ceiling_m = known_return_height(vehicle), known_ceiling_m(vehicle)
-        home_m = self._frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"])
-        one = Returning(
-            vehicle.key,
-            vehicle.name,
-            self._monitor.footprint(actor),
-            self._frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]),
-            position["vel_enu_mps"],
-            home_m,
-            self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
-            max(0.0, now - at),
-            None if waits is None else waits.goal_m,
-            lands=vehicle.mode in LANDING or actor.runner.ledger.newest_in_progress in LANDS,
-            ceiling_m=math.inf if ceiling_m is None else home_m[2] + ceiling_m - CLEARANCE_M,
-        )
-        self._seen[vehicle.key] = one, at
-        return one
-
     def _report(self, actor: VehicleActor, text: str, *, given_up: bool = False) -> None:
         data = {"order": "rtl", "result": "failed" if given_up else "in_progress"}
         self._on_event(Event("command", actor.name, actor.sysid, f"rtl: {text}", data))
-
-
-async def read_return_height(actor: VehicleActor) -> ReturnHeight:
-    """The return height by its parameters, read from the vehicle; `UNKNOWN`: it does not answer, or has none."""
-    able = actor.vehicle.abilities
-    heights = [await _param(actor, height) for height in able.return_heights]
-    return return_height(heights, await _param(actor, able.return_climb) if able.return_climb else 0.0)
-
-
-def _frame(vehicle: Vehicle) -> EnuFrame:
-    position = vehicle.telemetry("position")
-    assert position is not None
-    return EnuFrame(Origin(position["lat_deg"], position["lon_deg"], 0.0))
-
-
-async def _param(actor: VehicleActor, param: HeightParam) -> float | None:
-    """The first of these parameters that the vehicle has, in metres; None: it has none, or does not answer."""
-    for name, per_metre in param:
-        outcome = await actor.params.get(name)
-        if outcome.ok and outcome.number is not None:
-            return float(outcome.number) / per_metre
-    return None

@@ -12,7 +12,7 @@ from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
-from skygcs.config.separation import MonitorConfig
+from skygcs.config.vehicle_tables import MonitorConfig
 from skygcs.core.geo import EnuFrame, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS

@@ -61,7 +61,7 @@ def numbered(new: Callable[[], int] = ask) -> AbstractContextManager[None]:
 
 
 class Asked(NamedTuple):
-    """An order that is asked for, and the vehicle's mode then; see `OrderRunner.overtaken`."""
+    """An order that is asked for, and the vehicle's mode then; see `OrderPrecedence.overtaken`."""
 
     serial: int
     custom_mode: int | None = None

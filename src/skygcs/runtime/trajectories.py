@@ -264,7 +264,7 @@ class Trajectories:
     ) -> TrajectoryClock | dict[VehicleActor, str]:
         """The started clock of a start, or why it must not be, by vehicle."""
         found = {
-            actor: actor.runner.superseded()
+            actor: actor.runner.precedence.superseded()
             or actor.offboard.trajectory_refusal(loaded, speed_factor, lock, tubes.get(actor.name))
             for actor, loaded in chosen.items()
         }
@@ -298,7 +298,7 @@ class Trajectories:
         group = TrajectoryGroup(clock, flights, lock, plan=plan)
         self._groups.append(group)
         for actor, flight in flights.items():
-            actor.runner.note_effect()
+            actor.runner.precedence.note_effect()
             group.serials[actor] = actor.runner.ledger.effective_serial
             text = (
                 f"{flight.loaded.name} begins in {at_s - now:.1f} s and takes {flight.duration_s / speed_factor:.1f} s"

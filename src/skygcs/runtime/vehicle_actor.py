@@ -25,7 +25,6 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENTRY, TIMESYNC
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders
-from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
@@ -34,10 +33,10 @@ from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, sh
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
 from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.vehicle.orders import Action
 from skygcs.core.vehicle.raw_setpoint import raw_from_world
 from skygcs.core.vehicle.snapshot import latest_message, take_snapshot
 from skygcs.core.vehicle.stick_modes import needs_sticks
-from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.uplink_watch import UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
@@ -52,16 +51,14 @@ from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
-from skygcs.runtime.order_outcomes import OrderOutcomes
-from skygcs.runtime.order_runner import OrderRunner
+from skygcs.runtime.order_runner import OrderOutcomes, OrderRunner
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
-from skygcs.runtime.stream_requester import StreamRequester
+from skygcs.runtime.stream_requester import StreamRequester, UplinkProbes
 from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.task_set import numbered
 from skygcs.runtime.unattended_holds import UnattendedHolds
-from skygcs.runtime.uplink_probes import UplinkProbes
 from skygcs.runtime.vehicle_services import SetpointProgram, VehicleLinks, VehicleServices
 
 if TYPE_CHECKING:  # only some vehicles have them
@@ -74,7 +71,7 @@ ENTRY_ENDED = "no order reaches it by this entry any more; if it is heard again,
 
 class VehicleActor:
     """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders; further
-    ones are in `runtime.onboard_orders` and `runtime.home_orders`.
+    ones are in `runtime.onboard_orders` and `runtime.onboard_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
     ``params``, ``metadata`` (of parameters), ``missions``, ``logs`` (those it has on board), ``fence``, ``preflight``,
@@ -410,9 +407,9 @@ class VehicleActor:
         """``force``: also into a mode flown by sticks, in the air and without any, where that can be sane."""
         model = model_of(self.vehicle, self._loop.time())
         if model.may_fly and model.sticks is Sticks.SEEN and needs_sticks(model, self.vehicle, name):
-            asked = self.runner.asked()
+            asked = self.runner.precedence.asked()
             await self._request("RC_CHANNELS")  # the gate has to know where its throttle is
-            if (why := self.runner.taken_by_pilot(asked)) is not None:
+            if (why := self.runner.precedence.taken_by_pilot(asked)) is not None:
                 return self.refuse("mode", why)
         return await self.runner.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
 
@@ -460,9 +457,9 @@ class VehicleActor:
         return await self.runner.run("hold", lambda now: replace(self._plan_hold(now), spares=spares))
 
     async def stop(self, action: Action) -> Outcome:
-        """Emergency stop; see `core.vehicle.stop`. The caller checks the confirmation of a kill
+        """Emergency stop; see `core.vehicle.orders`. The caller checks the confirmation of a kill
         (`FleetOrders.command_all`)."""
-        return await self.runner.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
+        return await self.runner.run("stop", lambda now: orders.stop(self.vehicle, now, action))
 
     async def goto(self, **where: Unpack[orders.Where]) -> Outcome:
         """Fly to a position; see `orders.destination`. Under control by setpoints the reference moves there."""
@@ -473,13 +470,13 @@ class VehicleActor:
             to = self.destination(**where)
         except RefusedError as error:
             return self.outcomes.finish("goto", Outcome.refused(str(error)))
-        if (why := await self.runner.late()) is not None:
+        if (why := await self.runner.precedence.late()) is not None:
             return self.refuse("goto", why)
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
         self.program = None
         outcome = await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         if outcome.ok:
-            self.runner.note_effect()
+            self.runner.precedence.note_effect()
         return self.outcomes.finish("goto", outcome)
 
     def destination(self, **where: Unpack[orders.Where]) -> Destination:
@@ -573,7 +570,7 @@ class VehicleActor:
             with self.outcomes.tracked("control") as ended:
                 outcome = ended(await self.offboard.engage(ControlMode(mode), force=force))
             if outcome.ok:
-                self.runner.note_effect()
+                self.runner.precedence.note_effect()
             return outcome
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:

@@ -1,6 +1,6 @@
 """Checks of missions and fences for the page: a dropped file, or what a person drew.
 
-The answer has what the page draws, the findings of `core.mission.check`, and the text to upload with missions.upload.
+The answer has what the page draws, the findings of `core.mission.plan`, and the text to upload with missions.upload.
 The vehicle's own check at the upload is the one that counts; this one is made before anything is sent.
 """
 
@@ -16,12 +16,20 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mission.check import MAX_DISTANCE_M, MAX_HEIGHT_M, CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon
 from skygcs.core.mission.firmware_items import Family, ItemChange, for_firmware, grouped
 from skygcs.core.mission.formats import Imported, read_plan
 from skygcs.core.mission.item import GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAIN_ALT, MissionItem, MissionType
-from skygcs.core.mission.plan import MissionPlan, PlannedHome
+from skygcs.core.mission.plan import (
+    MAX_DISTANCE_M,
+    MAX_HEIGHT_M,
+    CheckLimits,
+    Finding,
+    MissionPlan,
+    PlannedHome,
+    check_plan,
+    errors,
+)
 from skygcs.core.mission.qgc import write_qgc
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.formation import (

@@ -29,8 +29,7 @@ from skygcs.rpc.error_codes import (
     REFUSED,
     TOO_LATE,
 )
-from skygcs.rpc.json_lines import EVENT_START, notification
-from skygcs.rpc.order_reports import REPORT
+from skygcs.rpc.json_lines import EVENT_START, REPORT, notification
 from skygcs.rpc.replies import encode, error_reply, parse_request, reply_of, unread
 from skygcs.web.fleet_digest import View
 from skygcs.web.request_limits import MAX_ID, MAX_ID_CHARS, PageLimits, deadline_problem
@@ -112,7 +111,7 @@ class Source(Protocol):
         deadline_s: float | None = None,
         on_report: OnReport | None = None,
     ) -> bytes:
-        """Its answer, encoded. ``on_report``: gets the reports of an order (`skygcs.rpc.order_reports`). Raises
+        """Its answer, encoded. ``on_report``: gets the reports of an order (`skygcs.rpc.json_lines`). Raises
         RpcError."""
         ...
 

@@ -11,7 +11,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import control, models, preflight, separation, signing
+from skygcs.config import control, models, signing, vehicle_tables
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.extension_parts import extension_tables
@@ -37,11 +37,11 @@ LINKS = get_args(models.LinkConfig)
         control.ControlFenceSettings,
         control.RawSettings,
         control.TrajectorySettings,
-        preflight.PreflightSettings,
-        preflight.RuleSettings,
+        vehicle_tables.PreflightSettings,
+        vehicle_tables.RuleSettings,
         *extension_tables(),
-        separation.MonitorConfig,
-        separation.SeparationSettings,
+        vehicle_tables.MonitorConfig,
+        vehicle_tables.SeparationSettings,
         signing.SigningSettings,
     ],
 )

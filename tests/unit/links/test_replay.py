@@ -11,11 +11,10 @@ import pytest
 
 from skygcs.config import models
 from skygcs.errors import LinkError
+from skygcs.links.base import LinkSupervisor
 from skygcs.links.replay import LOOKS_PER_TURN, ReplayLink
-from skygcs.links.supervisor import LinkSupervisor
 from skygcs.tlog.files import FileWindow
-from skygcs.tlog.format import encode_record
-from skygcs.tlog.timeline import LONGEST_GAP_S
+from skygcs.tlog.format import LONGEST_GAP_S, encode_record
 from support.hosts import RecordingHost, heartbeat, open_descriptors, text
 
 pytestmark = pytest.mark.looptime

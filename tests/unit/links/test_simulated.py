@@ -13,11 +13,11 @@ import pytest
 from skygcs.config import models
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.radio_link.transmit_queue import OwnMessage
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel
-from skygcs.links.factory import make_link
-from skygcs.links.outgoing import OwnMessage
 from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.runtime.linktable import make_link
 from skygcs.sim.kinematics import Motion
 from skygcs.sim.quad import Quad
 from support.hosts import RecordingHost

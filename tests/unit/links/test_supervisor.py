@@ -11,9 +11,8 @@ import pytest
 from skygcs.config import models
 from skygcs.errors import LinkError
 from skygcs.events import Event
-from skygcs.links.base import Channel, Link
-from skygcs.links.factory import make_link
-from skygcs.links.supervisor import LinkSupervisor
+from skygcs.links.base import Channel, Link, LinkSupervisor
+from skygcs.runtime.linktable import make_link
 from support.hosts import RecordingHost
 
 pytestmark = pytest.mark.looptime

@@ -17,8 +17,8 @@ from skygcs.config import models
 from skygcs.core.radio_link.transmit_queue import BOUND, Priority
 from skygcs.errors import LinkError
 from skygcs.events import Event
+from skygcs.links.base import LinkSupervisor
 from skygcs.links.stream import OLD, READ_BYTES
-from skygcs.links.supervisor import LinkSupervisor
 from skygcs.links.tcp import TcpClientLink, TcpServerLink
 from support.hosts import RecordingHost, frames_in, heartbeat, open_descriptors, own, text, until
 from support.loops import on_every_loop

@@ -11,9 +11,9 @@ from pydantic import TypeAdapter
 
 from skygcs.core.vehicle.orders import Where
 from skygcs.core.vehicle.state import VehicleState
-from skygcs.rpc import openrpc
+from skygcs.rpc import dispatch
 from skygcs.rpc.client import Client
-from skygcs.runtime import home_orders
+from skygcs.runtime import onboard_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.extension_parts import ALL_METHODS
 from support.fake_daemon import FakeDaemon
@@ -22,7 +22,7 @@ from support.table import each
 
 @cache
 def document() -> dict[str, Any]:
-    made: dict[str, Any] = json.loads(json.dumps(openrpc.document(ALL_METHODS.values())))
+    made: dict[str, Any] = json.loads(json.dumps(dispatch.document(ALL_METHODS.values())))
     return made
 
 
@@ -92,7 +92,7 @@ ORDERS = {
     "stop": VehicleActor.stop,
     "goto": VehicleActor.goto,
     "reboot": VehicleActor.reboot,
-    "set_home": home_orders.set_home,
+    "set_home": onboard_orders.set_home,
     "interval": VehicleActor.set_message_interval,
     "request": VehicleActor.request_message,
     "stream": VehicleActor.request_stream,

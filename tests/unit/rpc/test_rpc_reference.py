@@ -6,7 +6,7 @@ from pathlib import Path
 
 from skygcs.config.loader import MAX_LINK_CHARS
 from skygcs.core.vehicle.targets import MAX_CHARS
-from skygcs.rpc import client_peer, openrpc, sessions, work_gate
+from skygcs.rpc import client_peer, dispatch, sessions, work_gate
 from skygcs.rpc.dispatch import MAX_MEMBERS
 from skygcs.rpc.models import MAX_TEXT_CHARS
 from support.extension_parts import ALL_METHODS
@@ -42,7 +42,7 @@ def test_the_limits_are_those_of_the_server() -> None:
 
 def test_every_error_code_is_explained() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    for code in (-32700, -32600, -32601, -32602, -32603, *openrpc.ERRORS):
+    for code in (-32700, -32600, -32601, -32602, -32603, *dispatch.ERRORS):
         assert f"| {code} |" in text
 
 

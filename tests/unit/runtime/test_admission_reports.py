@@ -9,12 +9,11 @@ from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
-from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from skygcs.core.radio_link.transmit_queue import OwnMessage, Priority, TxQueue
 from skygcs.events import Event
-from skygcs.links.outgoing import OwnMessage
 from skygcs.links.paced import AirBudget
-from skygcs.runtime.admission_reports import TEXT_BYTES, AdmissionReports
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.program_traffic import TEXT_BYTES, AdmissionReports
 from support.routed import DIALECT
 from support.table import each
 

@@ -8,7 +8,7 @@ from typing import Any
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.routing.routing_table import RoutingVerdict
 from skygcs.links.base import ForwardingPath
-from skygcs.runtime.flows import Flows, FrameObservers
+from skygcs.runtime.channel_statistics import Flows, FrameObservers
 from support.plain_hub import HubBench, PlainChannel
 from support.routed import heartbeat, message
 

@@ -11,11 +11,10 @@ import pytest
 
 from skygcs.config.models import FleetConfig, MemoryLinkConfig, SerialLinkConfig
 from skygcs.core.radio_link.capacity import FRAME_BYTES
-from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel, ChannelSigning
 from skygcs.links.memory import MemoryLink
-from skygcs.links.outgoing import Outgoing
 from skygcs.links.serial import SerialLink
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.link_view import LinkView, LinkWatch

@@ -13,9 +13,9 @@ from typing import Any, cast
 import pytest
 
 from skygcs.config.models import SimulatedLinkConfig, UdpServerLinkConfig
+from skygcs.core.radio_link.transmit_queue import OwnMessage
 from skygcs.daemon import Daemon
 from skygcs.errors import SkygcsError
-from skygcs.links.outgoing import OwnMessage
 from skygcs.rpc.client import Client
 from skygcs.runtime.loop_clock import STOOD_STILL_S, SleepWatch, Standstill, slept_s
 from support.called import call

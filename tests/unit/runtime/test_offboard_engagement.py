@@ -108,14 +108,14 @@ class Field:
         commands: Any = self.commands  # all that is used of one
         shared = services(flight_dialect(), None, self.loop, self.events.append, links=self.links, log_dir=log_dir)
         self.locks = shared.locks
-        runner: Any = SimpleNamespace(
-            attempt_in_control=self.attempt,
+        precedence = SimpleNamespace(
             asked=lambda: None,
             late=self.never_late,
             hands=lambda: None,
             pilot_since=lambda order, before: None,  # tests/integration/test_control_handed_over.py
             taken_by_pilot=lambda asked: None,  # tests/integration/test_orders_as_they_come.py
         )
+        runner: Any = SimpleNamespace(attempt_in_control=self.attempt, precedence=precedence)
         self.runner = runner
         self.offboard = OffboardEngagement(
             self.vehicle,

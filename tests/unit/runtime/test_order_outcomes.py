@@ -9,7 +9,7 @@ import pytest
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime.order_outcomes import OrderOutcomes
+from skygcs.runtime.order_runner import OrderOutcomes
 from support.vehicles import flight_dialect
 
 pytestmark = pytest.mark.looptime

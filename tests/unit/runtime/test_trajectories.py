@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from skygcs.config.control import ControlSettings
-from skygcs.config.separation import MonitorConfig
+from skygcs.config.vehicle_tables import MonitorConfig
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
 from skygcs.core.vehicle.flight_lock import FlightLock
@@ -47,7 +47,8 @@ def actor(name: str) -> VehicleActor:
         config=SimpleNamespace(control=ControlSettings()),
         authority_refusal=lambda: None,
         runner=SimpleNamespace(
-            note_effect=lambda: None, superseded=lambda: None, ledger=SimpleNamespace(effective_serial=0)
+            precedence=SimpleNamespace(note_effect=lambda: None, superseded=lambda: None),
+            ledger=SimpleNamespace(effective_serial=0),
         ),
         offboard=SimpleNamespace(controller=SimpleNamespace(flight=None), lead_s=0.0),
     )

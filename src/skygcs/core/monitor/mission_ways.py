@@ -21,8 +21,8 @@ from typing import NamedTuple
 from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.vehicle_class import ReturnEnd
-from skygcs.core.mission.check import FLOWN_PLACE, RADIUS_PARAM, TAKEOFFS
 from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem
+from skygcs.core.mission.plan import FLOWN_PLACE, RADIUS_PARAM, TAKEOFFS
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.tracks import Place

@@ -172,7 +172,7 @@ def arm_to_fly(vehicle: Vehicle, now: float, estimate_msgid: int) -> Plan:
 
 
 def disarm(*, force: bool = False) -> Plan:
-    """Disarm; with a duplicate system id only once that is confirmed (`stop.require_confirmed`)."""
+    """Disarm; with a duplicate system id only once that is confirmed (`orders.require_confirmed`)."""
     spec = CommandSpec(mav_cmd.COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
     step = Step("disarm", spec, expect=ArmedIs(False))
     return Plan("disarm", (step,), "disarmed", emergency=force, final=force, despite_duplicate=True)

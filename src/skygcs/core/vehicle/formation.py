@@ -24,9 +24,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 from skygcs.core.geo import Origin, Vector, distance_m, enu_from_geodetic, geodetic_from_enu, wrap_deg_360
-from skygcs.core.mission.check import ENDS_ON_GROUND, FLOWN_OTHERWISE, FLOWN_PLACE
 from skygcs.core.mission.item import FIRST_ITEM, LOCAL_FRAMES, MissionItem
-from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.plan import ENDS_ON_GROUND, FLOWN_OTHERWISE, FLOWN_PLACE, MissionPlan
 from skygcs.core.separation import Footprint, pair_margin
 
 K = TypeVar("K")

@@ -14,15 +14,15 @@ a flying vehicle does not get. "Known to be disarmed" is `VehicleModel.not_disar
 
 An order is a row of `ORDERS`: its own checks decide for which vehicle it is planned (`orders`, `autopilot`), and the
 row says which messages and commands it may send. The gate gives it a `Clearance` for exactly these; no other module can
-make one, and what is sent without one is judged as a raw message (`runtime.outgoing_gate`, the place that every own
-message passes). A step that undoes another one passes again when it is sent (`clear_undo`). Modes that are flown by
-sticks have rules of their own (`stick_modes`), whatever sends them.
+make one, and what is sent without one is judged as a raw message (`OutgoingGate`). A step that undoes another one
+passes again when it is sent (`clear_undo`). Modes that are flown by sticks have rules of their own (`stick_modes`),
+whatever sends them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -32,8 +32,10 @@ from skygcs.core.params.names import EFFECTS, ParamRole, role_of
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.stick_modes import mode_name, mode_refusal, without_sticks
-from skygcs.core.vehicle.vehicle_model import VehicleModel
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.vehicle_model import VehicleModel, model_of
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 
 
 class Level(StrEnum):
@@ -492,3 +494,49 @@ def _opcode(payload: object) -> int:
         return int(payload[FTP_OPCODE_AT])  # type: ignore[index]
     except (TypeError, IndexError, ValueError):
         return -1
+
+
+MAX_REPORTED = 64
+"""Kinds of message that are reported once each; all are counted."""
+
+
+class OutgoingGate:
+    """The gate of one hub: the place that every message of ours passes before it becomes bytes. ``blocked`` counts the
+    messages that it has kept back.
+
+    What an order, a stream or a transfer sends carries the clearance that it was given. A message without one, or one
+    that its clearance does not cover, is judged as a raw message to the vehicles that it would reach, and nobody
+    insists on it here: a part of skygcs, or an extension, that asks for no clearance can send what is harmless.
+    """
+
+    def __init__(self, now: Callable[[], float], on_event: Callable[[Event], None]) -> None:
+        self.blocked = 0
+        self._now = now
+        self._on_event = on_event
+        self._reported: set[str] = set()
+
+    def passes(
+        self,
+        name: str,
+        fields: Mapping[str, Any],
+        clearance: Clearance | None,
+        reached: Callable[[], Iterable[Vehicle]],
+    ) -> bool:
+        """True if a message of ours may be sent. ``reached``: the vehicles that will accept it. One that may not is
+        counted, and reported once per kind."""
+        if clearance is not None and clearance.covers(name, fields):
+            return True
+        if name in HARMLESS_MESSAGES:
+            return True
+        now = self._now()
+        rule = message_rule(name, fields)
+        why = rule.refusal((model_of(vehicle, now) for vehicle in reached()), force=False)
+        if why is None:
+            return True
+        self.blocked += 1
+        if rule.what not in self._reported and len(self._reported) < MAX_REPORTED:
+            self._reported.add(rule.what)
+            self._on_event(
+                Event("fault", None, None, f"the outgoing gate kept a message back: {why}", {"what": rule.what})
+            )
+        return False

@@ -16,7 +16,7 @@ from skygcs.core.mavlink.frame import Frame, check, encode
 from skygcs.core.mavlink.vehicle_class import TAKEOFF_HEIGHT, VehicleClass, abilities_of, class_type
 from skygcs.core.params.names import ParamRole
 from skygcs.core.protocols.command import CommandSpec
-from skygcs.core.vehicle import mission_orders, offboard_entry, orders, stop
+from skygcs.core.vehicle import mission_orders, offboard_entry, orders
 from skygcs.core.vehicle.gate import (
     COMMAND_MESSAGES,
     Level,
@@ -76,9 +76,9 @@ Planner = Callable[[Vehicle, float], Plan]
 
 IN_THE_AIR: Mapping[str, Planner] = {
     "hold": orders.hold,
-    "stop": lambda vehicle, now: stop.stop(vehicle, now, "hold"),
-    "stop land": lambda vehicle, now: stop.stop(vehicle, now, "land"),
-    "stop kill": lambda vehicle, now: stop.stop(vehicle, now, "kill"),
+    "stop": lambda vehicle, now: orders.stop(vehicle, now, "hold"),
+    "stop land": lambda vehicle, now: orders.stop(vehicle, now, "land"),
+    "stop kill": lambda vehicle, now: orders.stop(vehicle, now, "kill"),
     "land": orders.land,
     "rtl": orders.rtl,
     "goto": lambda vehicle, now: orders.goto(vehicle, now, limit_m=REACH_M, **WHERE),  # type: ignore[arg-type]

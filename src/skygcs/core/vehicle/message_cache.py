@@ -1,14 +1,27 @@
-"""The message cache of one vehicle: the last frame of each message, message rates, and the decoded telemetry groups.
+"""Messages of one vehicle as far as they are kept: bounded whatever it sends. Pure.
+
+    `MessageCache`           the last frame of each message, message rates, and the decoded telemetry groups
+    `StatusTextAssembler`    texts that come in chunks
+    `Parameters`             values of the parameters that decide how an autopilot takes setpoints and orders
 
 A frame is unpacked when a group is first read, and only once: a decoded group is kept as long as its frames are.
+
+STATUSTEXT: MAVLink 2 senders split long texts into chunks of 50 bytes with one id. A text whose end does not come is
+returned after a time-out, with ``…`` in place of a missing part. https://mavlink.io/en/messages/common.html#STATUSTEXT
+
+Parameters are taken from the PARAM_VALUEs that anybody requested.
 """
 
 from __future__ import annotations
 
+import math
 import operator
+import struct
+from dataclasses import dataclass, field
 from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.vehicle_class import declared_params
 from skygcs.core.vehicle.decoding import GROUPS, Decoder, TelemetryGroup, TelemetryGroupSpec
 
 SMOOTHING = 0.4
@@ -138,3 +151,159 @@ class MessageCache:
 
 
 _BY_NAME = {group.name: group for group in GROUPS}
+
+
+WATCHED = declared_params() | frozenset(
+    {
+        "ATC_ANGLE_BOOST",
+        "COM_DLL_EXCEPT",
+        "COM_OBL_RC_ACT",
+        "COM_OF_LOSS_T",
+        "COM_RC_IN_MODE",
+        "FENCE_ACTION",
+        "FENCE_ALT_MAX",
+        "FENCE_ENABLE",
+        "FENCE_RADIUS",
+        "FENCE_TYPE",
+        "FS_GCS_ENABLE",
+        "FS_OPTIONS",
+        "GF_ACTION",
+        "GF_MAX_HOR_DIST",
+        "GF_MAX_VER_DIST",
+        "GUID_OPTIONS",
+        "GUID_TIMEOUT",
+        "MIS_RESTART",
+        "MOT_THST_EXPO",
+        "MOT_THST_HOVER",
+        "MPC_THR_HOVER",
+        "NAV_DLL_ACT",
+        "THR_MDL_FAC",
+    }
+)
+"""Those of setpoints, of the fence's cylinder, and what `vehicle_class` declares. Others are not kept: a vehicle has a
+thousand parameters."""
+
+INTEGER_FORMAT = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
+"""struct codes of the integer types among MAV_PARAM_TYPE."""
+
+
+class Parameters:
+    """Values of `WATCHED` by name, each with the time of its report. A reboot drops them all."""
+
+    __slots__ = ("_values",)
+
+    def __init__(self) -> None:
+        self._values: dict[str, tuple[float, float]] = {}
+
+    def note(self, raw_name: bytes, wire_value: float, param_type: int, now: float, *, bytewise: bool) -> None:
+        """Note a PARAM_VALUE. ``bytewise``: the float field holds an integer's bytes, as PX4 sends it
+        (PARAM_ENCODE_BYTEWISE); else integers are cast to float, as ArduPilot does (PARAM_ENCODE_C_CAST)."""
+        name = raw_name.rstrip(b"\0").decode("ascii", "replace")
+        if name not in WATCHED:
+            return
+        code = INTEGER_FORMAT.get(param_type)
+        value = wire_value
+        if code is not None and bytewise:
+            value = float(struct.unpack_from("<" + code, struct.pack("<f", wire_value))[0])
+        if math.isfinite(value):
+            self._values[name] = (value, now)
+
+    def value(self, name: str) -> float | None:
+        """The value; None if it was not reported since the vehicle started."""
+        known = self._values.get(name)
+        return None if known is None else known[0]
+
+    def reported_at(self, name: str) -> float | None:
+        known = self._values.get(name)
+        return None if known is None else known[1]
+
+    def forget(self) -> None:
+        self._values.clear()
+
+
+CHUNK_BYTES = 50
+
+MAX_CHUNKS = 16
+"""800 characters; the longest text of PX4 has 200 or so, ArduPilot's 250."""
+
+MAX_OPEN = 4
+"""Incomplete texts per vehicle; beyond this number the oldest is returned as it is."""
+
+CHUNK_TIMEOUT_S = 2.0
+"""Chunks follow each other at once; two rounds of a multipoint radio are 1.5 s."""
+
+MISSING = "…"
+
+
+MAX_STATUS_TEXTS = 32
+"""Texts kept of one autopilot, and shown of one vehicle: the newest."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatusText:
+    """A whole text; ``at``: when its last part came; ``severity``: MAV_SEVERITY (0 emergency .. 7 debug)."""
+
+    severity: int
+    text: str
+    at: float
+
+
+@dataclass(slots=True)
+class _Open:
+    severity: int
+    since: float
+    chunks: dict[int, bytes] = field(default_factory=dict)
+    last: int | None = None
+
+
+class StatusTextAssembler:
+    """`on_text` and `flush` return the texts that are complete (or given up) now, oldest first."""
+
+    def __init__(self) -> None:
+        self._open: dict[int, _Open] = {}
+
+    def on_text(self, severity: int, raw: bytes, text_id: int, chunk_seq: int, now: float) -> list[StatusText]:
+        """One STATUSTEXT; ``raw`` is its 50-byte text field."""
+        if text_id == 0:
+            return [StatusText(severity, _clean(raw), now)]
+        done: list[StatusText] = []
+        if chunk_seq >= MAX_CHUNKS:
+            return done
+        known = self._open.get(text_id)
+        if known is not None and known.chunks.get(chunk_seq, raw) != raw:
+            done.append(self._close(text_id, now))  # the id was used again: it has 16 bits, and some senders use fewer
+            known = None
+        if known is None:
+            if len(self._open) >= MAX_OPEN:
+                done.append(self._close(min(self._open, key=lambda i: self._open[i].since), now))
+            known = self._open[text_id] = _Open(severity, now)
+        known.chunks[chunk_seq] = raw
+        if b"\0" in raw:
+            known.last = chunk_seq
+        if known.last is not None and all(n in known.chunks for n in range(known.last + 1)):
+            done.append(self._close(text_id, now))
+        return done
+
+    def flush(self, now: float) -> list[StatusText]:
+        """Give up waiting for the rest of texts begun more than `CHUNK_TIMEOUT_S` ago."""
+        if not self._open:
+            return []
+        stale = [text_id for text_id, text in self._open.items() if now - text.since >= CHUNK_TIMEOUT_S]
+        return [self._close(text_id, now) for text_id in stale]
+
+    def _close(self, text_id: int, now: float) -> StatusText:
+        text = self._open.pop(text_id)
+        end = text.last if text.last is not None else max(text.chunks)
+        parts: list[bytes] = []
+        for n in range(end + 1):
+            if n in text.chunks:
+                parts.append(text.chunks[n].split(b"\0", 1)[0])
+            elif not parts or parts[-1] != MISSING.encode():
+                parts.append(MISSING.encode())
+        return StatusText(text.severity, _clean(b"".join(parts)), now)
+
+
+def _clean(raw: bytes) -> str:
+    """Printable text for terminals and logs. PX4 ends texts that are also events with a tab."""
+    text = raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+    return "".join(c if c.isprintable() else " " for c in text).strip()

@@ -25,10 +25,19 @@ from skygcs.core.geo import distance_m
 from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.vehicle_class import ReturnEnd, VehicleClass
-from skygcs.core.mission.check import ENDS_ON_GROUND, CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
 from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem, MissionType, item_of_seq, seq_of_item
-from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
+from skygcs.core.mission.plan import (
+    ENDS_ON_GROUND,
+    CheckLimits,
+    Finding,
+    MissionPlan,
+    PlannedHome,
+    check_plan,
+    errors,
+    from_wire,
+    to_wire,
+)
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.flight_evidence import Landed, contradiction

@@ -30,8 +30,7 @@ from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import BY_DELAY, CONTROL_MODES, ControlMode, Guard, GuardConfig, GuardFacts, Verdict
 from skygcs.core.geo import EnuFrame
-from skygcs.core.vehicle.bumpless_transfer import SteadyThrust, handover_attitude, handover_s
-from skygcs.core.vehicle.estimate_view import EstimateView
+from skygcs.core.vehicle.estimate_view import EstimateView, VelocityPrediction
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import (
@@ -42,11 +41,10 @@ from skygcs.core.vehicle.offboard_entry import (
     moves_setpoints_on,
 )
 from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, RawSource
-from skygcs.core.vehicle.reference_source import ReferenceSource
+from skygcs.core.vehicle.reference_source import ReferenceSource, SteadyThrust, handover_attitude, handover_s
 from skygcs.core.vehicle.setpoint_generator import IDLE, NOTHING, SetpointGenerator, Tick, TickInput
 from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.core.vehicle.velocity_prediction import VelocityPrediction
 from skygcs.events import Event
 
 LARGEST_DT_S = 1.0

@@ -11,7 +11,7 @@ fails, or when control ends, `leave`.
 
 from __future__ import annotations
 
-from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits, LossReach
+from skygcs.core.control.control_fence import COPTER_BRAKING, PX4_BRAKING, BrakingLimits, LossReach
 from skygcs.core.control.velocity_loop import within
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.vehicle_class import cannot_hover
@@ -276,7 +276,7 @@ def ask_loss_parameters(vehicle: Vehicle, now: float) -> Plan:
 
 
 def ask_parameter(name: str, *, after: float, optional: bool = False) -> Step:
-    """PARAM_REQUEST_READ by name, one of `watched_params.WATCHED`, until PARAM_VALUE comes. A name that the firmware
+    """PARAM_REQUEST_READ by name, one of `message_cache.WATCHED`, until PARAM_VALUE comes. A name that the firmware
     does not know gets no answer."""
     return Step(
         f"read {name}",

@@ -138,7 +138,7 @@ class MessageAfter:
 
 @dataclass(frozen=True, slots=True)
 class ParamKnown:
-    """A parameter of `watched_params.WATCHED` was reported at or after that time, whichever program requested it."""
+    """A parameter of `message_cache.WATCHED` was reported at or after that time, whichever program requested it."""
 
     name: str
     after: float

@@ -33,7 +33,14 @@ from skygcs.core.vehicle.decoding import (
     firmware_from_banner,
     firmware_from_version,
 )
-from skygcs.core.vehicle.message_cache import MessageCache, Slot
+from skygcs.core.vehicle.message_cache import (
+    MAX_STATUS_TEXTS,
+    MessageCache,
+    Parameters,
+    Slot,
+    StatusText,
+    StatusTextAssembler,
+)
 from skygcs.core.vehicle.shared_ids import BootClock, Finding, SharedIds
 from skygcs.core.vehicle.state import (
     ACTIVE,
@@ -45,9 +52,7 @@ from skygcs.core.vehicle.state import (
     SYSTEM_STATUS,
     name_of,
 )
-from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS, StatusText, StatusTextAssembler
 from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude, standing_amsl_m
-from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
 
 RATE_PERIOD_S = 1.0
@@ -414,7 +419,7 @@ class Vehicle:
         return None if home is None else float(home["alt_amsl_m"])
 
     def param(self, name: str) -> float | None:
-        """A parameter of `watched_params.WATCHED`; None if no station has read it since the vehicle started."""
+        """A parameter of `message_cache.WATCHED`; None if no station has read it since the vehicle started."""
         return self.parameters.value(name)
 
     def clock_offset_s(self, now: float, unix_now: float) -> float | None:

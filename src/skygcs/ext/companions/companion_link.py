@@ -17,7 +17,7 @@ from skygcs.back_off import BackOff
 from skygcs.core.clock_offset import ClockComparison, ClockOffset
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError, SkygcsError
 from skygcs.events import Event
-from skygcs.links.supervisor import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, STABLE_AFTER_S
+from skygcs.links.base import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, STABLE_AFTER_S
 from skygcs.runtime.loop_clock import PAUSED, exact_clock
 
 JsonObject = dict[str, Any]

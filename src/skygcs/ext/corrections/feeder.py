@@ -20,7 +20,7 @@ from skygcs.core.radio_link.corrections import MAX_TYPES
 from skygcs.errors import LinkError, RefusedError
 from skygcs.events import Event
 from skygcs.ext.corrections.ntrip import RefusedByCaster
-from skygcs.links.supervisor import STABLE_AFTER_S
+from skygcs.links.base import STABLE_AFTER_S
 from skygcs.runtime.correction_feed import RATE_S, CorrectionFeed
 from skygcs.runtime.loop_clock import PAUSED
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from skygcs.config.tables import Problem
-from skygcs.core.control.braking import fence_ahead
+from skygcs.core.control.control_fence import fence_ahead
 from skygcs.core.geo import EnuFrame, Origin, world_from_enu
 from skygcs.core.mavlink.vehicle_class import cannot_hover
 from skygcs.core.monitor.conflict_levels import HORIZON_S

@@ -18,10 +18,10 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import TIMESYNC
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.flight_evidence import may_fly
 from skygcs.core.vehicle.gate import standing
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.origin import why_no_poses
-from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.ext.mocap.capture_process import CaptureProcess

@@ -9,7 +9,7 @@
 
 A pose has no address, so the ordinary choice is a channel on which no other vehicle is heard. But what is heard is not
 proven: a second autopilot with its ids on another link, or a forged heartbeat on its own, must not take the poses from
-a vehicle that flies by them (`core.vehicle.supply`). The other vehicle, if there is one, is not armed meanwhile.
+a vehicle that flies by them (`may_fly`). The other vehicle, if there is one, is not armed meanwhile.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class SetpointGuidance:
         lat_deg, lon_deg, alt_m = flight.frame.to_geodetic(*flight.execution.step.starts()[name])
         outcome = await actor.offboard.fly_to(GeodeticPosition(lat_deg, lon_deg, alt_m), None)
         if outcome.ok:
-            actor.runner.note_effect()
+            actor.runner.precedence.note_effect()
         return outcome
 
     def fly(self, flight: PlanFlight) -> str | None:

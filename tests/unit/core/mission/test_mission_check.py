@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.geo import Origin, geodetic_from_enu
-from skygcs.core.mission.check import CheckLimits, Family, check_plan, errors
 from skygcs.core.mission.fence import (
     MOST_DISTANCES,
     NEAR_STEP_M,
@@ -21,7 +20,7 @@ from skygcs.core.mission.fence import (
 )
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionItem
-from skygcs.core.mission.plan import MissionPlan, PlannedHome
+from skygcs.core.mission.plan import CheckLimits, Family, MissionPlan, PlannedHome, check_plan, errors
 from skygcs.errors import PlanFileError
 from support.public_data import public_folder
 from support.table import each

@@ -13,7 +13,6 @@ from pymavlink.dialects.v20 import all as every_dialect
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.mav_cmd import NAV_RALLY_POINT
 from skygcs.core.mission import firmware_items
-from skygcs.core.mission.check import check_plan, errors
 from skygcs.core.mission.firmware_items import (
     Family,
     convert,
@@ -26,7 +25,7 @@ from skygcs.core.mission.firmware_items import (
 )
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FENCE_COMMANDS, UNSET_INT, MissionItem, MissionType
-from skygcs.core.mission.plan import MissionPlan, PlannedHome, to_wire
+from skygcs.core.mission.plan import MissionPlan, PlannedHome, check_plan, errors, to_wire
 from skygcs.core.protocols import mission_upload
 from skygcs.sim import copter_lists, px4_lists
 from support.table import each

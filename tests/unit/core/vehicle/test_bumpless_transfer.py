@@ -11,14 +11,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.control.cascade import Estimate, Memory, Vector
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.vehicle.bumpless_transfer import (
+from skygcs.core.vehicle.decoding import Decoder
+from skygcs.core.vehicle.reference_source import (
     BRAKING_MPS2,
     FRESH_S,
     THROTTLE_FRESH_S,
     SteadyThrust,
     handover_attitude,
 )
-from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.table import each
 from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from skygcs.core.vehicle import stop
+from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -25,12 +25,12 @@ def heard(autopilot: int, *, kind: int = 2) -> Vehicle:
 @each("autopilot", [PX4, ARDUPILOT])
 @each(("action", "command"), [("hold", 176), ("land", 21), ("kill", 400)])
 def test_every_action_is_an_emergency_that_persists_also_for_a_lost_vehicle(
-    autopilot: int, action: stop.Action, command: int
+    autopilot: int, action: orders.Action, command: int
 ) -> None:
     vehicle = heard(autopilot)
     vehicle.tick(NOW + 60)
     assert not vehicle.connected
-    plan = stop.stop(vehicle, NOW + 60, action)
+    plan = orders.stop(vehicle, NOW + 60, action)
     assert plan.order == "stop" and plan.emergency and plan.persist_s == 30
     assert plan.final is (action == "kill"), "only a kill is the last word"
     (step,) = plan.steps
@@ -48,22 +48,22 @@ def test_a_recording_is_not_stopped_and_what_has_no_hold_says_so() -> None:
     vehicle = heard(PX4)
     vehicle.replayed = True
     with pytest.raises(RefusedError, match="recording"):
-        stop.stop(vehicle, NOW, "kill")
+        orders.stop(vehicle, NOW, "kill")
     with pytest.raises(RefusedError, match="knows only PX4 and ArduPilot"):
-        stop.stop(heard(0), NOW, "hold")
+        orders.stop(heard(0), NOW, "hold")
 
 
 def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
     names = dict.fromkeys(["alpha", "bravo"])
-    stop.require_confirmed("land", names, None)
-    stop.require_confirmed("kill", names, "kill-2")
+    orders.require_confirmed("land", names, None)
+    orders.require_confirmed("kill", names, "kill-2")
     with pytest.raises(RefusedError, match=r"alpha and bravo, .* confirm with 'kill-2'$"):
-        stop.require_confirmed("kill", names, None)
+        orders.require_confirmed("kill", names, None)
     for wrong in ("kill-1", "kill", "yes", "KILL-2", ""):
         with pytest.raises(RefusedError, match="not '"):
-            stop.require_confirmed("kill", names, wrong)
+            orders.require_confirmed("kill", names, wrong)
     with pytest.raises(RefusedError, match="and 20 more"):
-        stop.require_confirmed("kill", dict.fromkeys(f"v{n}" for n in range(30)), "kill-2")
+        orders.require_confirmed("kill", dict.fromkeys(f"v{n}" for n in range(30)), "kill-2")
 
 
 @each("action", ["kill", "disarm"])
@@ -71,10 +71,10 @@ def test_a_duplicate_id_counts_twice_and_its_links_are_named(action: str) -> Non
     where = "on udp (10.0.0.5:14550) and on udp (10.0.0.9:14550)"
     vehicles = {"alpha": None, "bravo": where}
     with pytest.raises(RefusedError, match=rf"bravo \(two vehicles: .*10\.0\.0\.9.*and alpha, .* '{action}-3'$"):
-        stop.require_confirmed(action, vehicles, None)
+        orders.require_confirmed(action, vehicles, None)
     with pytest.raises(RefusedError, match=f"not '{action}-2'"):
-        stop.require_confirmed(action, vehicles, f"{action}-2")
-    stop.require_confirmed(action, vehicles, f"{action}-3")
-    stop.require_confirmed("disarm", {"alpha": None}, None)
+        orders.require_confirmed(action, vehicles, f"{action}-2")
+    orders.require_confirmed(action, vehicles, f"{action}-3")
+    orders.require_confirmed("disarm", {"alpha": None}, None)
     for other in ("hold", "land"):
-        stop.require_confirmed(other, vehicles, None)
+        orders.require_confirmed(other, vehicles, None)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.vehicle import fence_params
-from skygcs.core.vehicle.watched_params import WATCHED
+from skygcs.core.vehicle.message_cache import WATCHED
 from skygcs.errors import RefusedError
 from support.table import each
 

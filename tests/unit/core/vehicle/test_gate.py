@@ -325,12 +325,12 @@ MAKES = {
     "Clearance": {"core/vehicle/gate.py"},
     "OwnMessage": {
         "runtime/hub.py",
-        "runtime/admission_reports.py",
+        "runtime/program_traffic.py",
         "links/paced.py",
     },  # texts to programs; RTCM cut anew
     "_row_clearance": {"core/vehicle/gate.py"},
     "encode_payload": {
-        *("links/outgoing.py", "core/mavlink/frame.py", "core/routing/sysid_translation.py"),
+        *("links/base.py", "core/mavlink/frame.py", "core/routing/sysid_translation.py"),
         "ext/radio_tools/link_probe.py",
     },
 }

@@ -14,10 +14,9 @@ from pymavlink.mavextra import distance_lat_lon
 
 from skygcs.cli import mission_arrangement
 from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.mission.check import FLOWN_OTHERWISE, FLOWN_PLACE
 from skygcs.core.mission.fence import FenceCircle, FencePlan
 from skygcs.core.mission.item import MissionItem
-from skygcs.core.mission.plan import MissionPlan, PlannedHome
+from skygcs.core.mission.plan import FLOWN_OTHERWISE, FLOWN_PLACE, MissionPlan, PlannedHome
 from skygcs.core.monitor.mission_ways import MissionRun, mission_way
 from skygcs.core.monitor.ways import Way, too_near
 from skygcs.core.separation import Footprint

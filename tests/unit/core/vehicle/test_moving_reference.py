@@ -10,9 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits
 from skygcs.core.control.cascade import Reference
-from skygcs.core.control.control_fence import Fence
+from skygcs.core.control.control_fence import COPTER_BRAKING, PX4_BRAKING, BrakingLimits, Fence
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle import setpoint

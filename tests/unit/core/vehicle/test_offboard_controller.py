@@ -17,11 +17,11 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import AxisGains, ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode, GuardConfig
 from skygcs.core.geo import Origin
-from skygcs.core.vehicle.bumpless_transfer import LAST_ATTITUDE_S
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.estimate_view import JUDGE_S
 from skygcs.core.vehicle.frames import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OLD_S, OffboardConfig, OffboardController, OffboardState
+from skygcs.core.vehicle.reference_source import LAST_ATTITUDE_S
 from skygcs.core.vehicle.setpoint_generator import Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skygcs.core.vehicle.supply import MAYBE_FLYING_S, may_fly
+from skygcs.core.vehicle.flight_evidence import MAYBE_FLYING_S, may_fly
 from support.table import each
 from support.watched_fleet import ACTIVE, STANDBY, WatchedVehicle
 

@@ -14,14 +14,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mavlink.vehicle_class import ON_ROTORS, TABLE, ReturnEnd, VehicleClass
 from skygcs.core.mission.item import MissionType
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders, stop
+from skygcs.core.vehicle import fence_params, mission_orders, offboard_entry, orders
+from skygcs.core.vehicle.flight_evidence import may_fly
 from skygcs.core.vehicle.gate import clear_undo
+from skygcs.core.vehicle.message_cache import WATCHED
 from skygcs.core.vehicle.order_plan import ModeIn, Plan
 from skygcs.core.vehicle.stick_modes import hazard, without_sticks
-from skygcs.core.vehicle.supply import may_fly
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import Sticks, model_of
-from skygcs.core.vehicle.watched_params import WATCHED
 from skygcs.errors import NotReadyError, RefusedError
 from support.table import each
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
@@ -113,8 +113,8 @@ def test_each_class_gets_its_own_hold_stop_landing_and_return_and_no_copters() -
         vehicle = of.vehicle
         got = [
             said(lambda: orders.hold(vehicle, NOW)),  # noqa: B023 - called at once
-            said(lambda: stop.stop(vehicle, NOW, "hold")),  # noqa: B023
-            said(lambda: stop.stop(vehicle, NOW, "land")),  # noqa: B023
+            said(lambda: orders.stop(vehicle, NOW, "hold")),  # noqa: B023
+            said(lambda: orders.stop(vehicle, NOW, "land")),  # noqa: B023
             said(lambda: orders.land(vehicle, NOW)),  # noqa: B023
             said(lambda: orders.rtl(vehicle, NOW)),  # noqa: B023
         ]
@@ -335,7 +335,7 @@ def test_a_quadplane_whose_parameters_have_not_come_is_known_by_its_vtol_state()
     ):
         shown.hear(mav.MAVLink_extended_sys_state_message(state, 2))
         assert shown.vehicle.kind is kind
-        assert said(lambda: stop.stop(shown.vehicle, NOW, "hold")) == held
+        assert said(lambda: orders.stop(shown.vehicle, NOW, "hold")) == held
     grounded = on_the_ground(ARDUPILOT, PLANE, 0, TKOFF_ALT=12.0)
     grounded.hear(mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_MC, 1))
     assert commands(orders.takeoff(grounded.vehicle, NOW, 12.0))[0] == (176, 15.0)  # GUIDED, by its rotors
@@ -405,7 +405,7 @@ def test_a_thing_of_an_unknown_type_gets_only_what_all_firmware_shares() -> None
     with pytest.raises(RefusedError, match="free balloon of ArduPilot is to go to a place; use a raw command"):
         orders.goto(balloon, NOW, limit_m=500.0, **where)  # type: ignore[arg-type]
     assert said(lambda: orders.rtl(balloon, NOW)) == "20"
-    assert said(lambda: stop.stop(balloon, NOW, "land")) == "21"  # worth an attempt
+    assert said(lambda: orders.stop(balloon, NOW, "land")) == "21"  # worth an attempt
     on_px4 = Shown(PX4, 8, 4 << 16 | 4 << 24).vehicle
     assert said(lambda: orders.hold(on_px4, NOW)) == "192"
 
@@ -425,8 +425,8 @@ def test_what_can_be_stopped_is_stopped_whatever_type_it_shows(autopilot: int) -
         if vehicle.autopilot != autopilot:  # the heartbeat of a ground station, a gimbal, a camera
             continue
         taken.add(kind)
-        hold = said(lambda: stop.stop(vehicle, NOW, "hold"))  # noqa: B023
-        land = said(lambda: stop.stop(vehicle, NOW, "land"))  # noqa: B023
+        hold = said(lambda: orders.stop(vehicle, NOW, "hold"))  # noqa: B023
+        land = said(lambda: orders.stop(vehicle, NOW, "land"))  # noqa: B023
         if autopilot == PX4:
             assert hold == "192", kind
             assert land == ("192" if kind in DRIVES - {5} else "21"), kind
@@ -469,7 +469,7 @@ def test_what_cannot_stop_says_how_wide_it_circles() -> None:
 def test_the_hold_of_a_hovering_quadplane_says_that_it_sinks_without_sticks() -> None:
     """QuadPlane::get_pilot_desired_climb_rate_cms: without valid input 50 cm/s downwards."""
     hovering = Shown(ARDUPILOT, PLANE, 19, Q_ENABLE=1.0)
-    for order in (lambda: orders.hold(hovering.vehicle, NOW), lambda: stop.stop(hovering.vehicle, NOW, "hold")):
+    for order in (lambda: orders.hold(hovering.vehicle, NOW), lambda: orders.stop(hovering.vehicle, NOW, "hold")):
         hovering.sticks(0, 0)
         assert order().done == (
             "stopped; QLOITER is flown by sticks, and no sticks are seen in its telemetry: it would sink; land or rtl "
@@ -491,7 +491,7 @@ def test_a_quadplane_that_stays_on_its_rotors_in_guided_holds_there() -> None:
     assert len(orders.hold(Shown(ARDUPILOT, PLANE, 19).vehicle, NOW).steps) == 1, "it would fly on as a plane"
     on_wing = orders.hold(Shown(ARDUPILOT, PLANE, 10, Q_ENABLE=1.0, Q_GUIDED_MODE=1.0).vehicle, NOW)
     assert on_wing.done == "circling in LOITER, 60 m about where it was"
-    stopped = stop.stop(Shown(ARDUPILOT, PLANE, 19, Q_GUIDED_MODE=1.0).vehicle, NOW, "hold")
+    stopped = orders.stop(Shown(ARDUPILOT, PLANE, 19, Q_GUIDED_MODE=1.0).vehicle, NOW, "hold")
     assert len(stopped.steps) == 1, "a stop ignores setpoints"
 
 

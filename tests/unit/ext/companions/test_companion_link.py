@@ -12,7 +12,7 @@ import pytest
 from skygcs.errors import DaemonUnreachable, LinkError, RpcError
 from skygcs.events import Event
 from skygcs.ext.companions.companion_link import ANSWERS_SILENT_S, CONNECT_S, MAX_CALLS, STATE_GROUPS, CompanionLink
-from skygcs.links.supervisor import LONGEST_BACK_OFF_S
+from skygcs.links.base import LONGEST_BACK_OFF_S
 
 pytestmark = pytest.mark.looptime
 

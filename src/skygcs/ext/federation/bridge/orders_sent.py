@@ -32,7 +32,7 @@ from typing import Any, Protocol
 from pydantic_core import from_json, to_json
 
 from skygcs.core.clock_offset import ClockComparison, ClockOffset
-from skygcs.core.vehicle import stop
+from skygcs.core.vehicle.orders import require_confirmed
 from skygcs.errors import BusError, NobodyThere, RefusedError, ReplyLost, TargetError
 from skygcs.ext.federation.bridge.hub_config import ORDERS, STOPS
 from skygcs.ext.federation.protocol.order_gate import ORDERING_ROLES
@@ -50,7 +50,7 @@ from skygcs.ext.federation.protocol.order_messages import (
 )
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from skygcs.ext.federation.protocol.site_names import SITE_NAME, qualified, select_at
-from skygcs.rpc.order_reports import OrderReports
+from skygcs.rpc.json_lines import OrderReports
 from skygcs.spelling import is_number
 
 FIRST_ANSWER_S = 0.8
@@ -313,7 +313,7 @@ class OrdersSent:
         if method == STOP:
             confirm = params.get("confirm")
             if len(names) > 1 or confirm is None:  # the word for a single vehicle is checked by its site
-                stop.require_confirmed(str(params.get("action")), dict.fromkeys(names), confirm)
+                require_confirmed(str(params.get("action")), dict.fromkeys(names), confirm)
 
     async def _given(
         self,

@@ -14,8 +14,7 @@ from typing import Any, Protocol, cast
 from skygcs.errors import RpcError
 from skygcs.rpc import error_codes
 from skygcs.rpc.address import tcp_address
-from skygcs.rpc.json_lines import ANSWER, MAX_REPLY_BYTES, LineBuffer, notification_start
-from skygcs.rpc.order_reports import BEGUN, OUTCOME, REPORT
+from skygcs.rpc.json_lines import ANSWER, BEGUN, MAX_REPLY_BYTES, OUTCOME, REPORT, LineBuffer, notification_start
 from skygcs.rpc.replies import encode, parse
 
 REACH_WITHIN_S = 2.0
@@ -122,7 +121,7 @@ class RelayedDaemon(asyncio.Protocol):
 
     async def ask(self, method: str, params: Mapping[str, Any], *, report_as: object = None, **members: Any) -> bytes:
         """Send a request of the station and return its result, as the daemon wrote it. ``members``: further members of
-        the request. ``report_as``: the client gets its reports (`skygcs.rpc.order_reports`) with this id; None: it asks
+        the request. ``report_as``: the client gets its reports (`skygcs.rpc.json_lines`) with this id; None: it asks
         for none. Raises RpcError."""
         future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
 

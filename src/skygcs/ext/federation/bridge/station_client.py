@@ -44,10 +44,8 @@ from skygcs.ext.federation.protocol.site_names import SiteTargets, split_by_site
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.client_peer import ClientPeer
-from skygcs.rpc.dispatch import Dispatcher, Method, failure_reply, result_reply
-from skygcs.rpc.json_lines import MAX_LINE_BYTES, id_of
-from skygcs.rpc.openrpc import document
-from skygcs.rpc.order_reports import OrderReports, wants_reports
+from skygcs.rpc.dispatch import Dispatcher, Method, document, failure_reply, result_reply
+from skygcs.rpc.json_lines import MAX_LINE_BYTES, OrderReports, id_of, wants_reports
 from skygcs.rpc.replies import encode, error_reply, parse, parse_request, unread
 
 MAX_IN_FLIGHT = 64

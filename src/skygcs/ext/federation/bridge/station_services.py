@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from skygcs.ext.federation.bridge.remote_feed import RemoteFeed
-from skygcs.rpc.order_reports import OrderReports
+from skygcs.rpc.json_lines import OrderReports
 
 
 class RemoteOrders(Protocol):

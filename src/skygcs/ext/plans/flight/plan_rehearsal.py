@@ -21,8 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from skygcs.core.control.braking import LossReach, fence_ahead
-from skygcs.core.control.control_fence import Fence
+from skygcs.core.control.control_fence import Fence, LossReach, fence_ahead
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.trajectory import ClockState, MotionLimits
 from skygcs.core.trajectory.piecewise import Vector

@@ -22,7 +22,7 @@ from skygcs.ext.federation.protocol.site_names import SiteTargets
 from skygcs.ext.federation.protocol.state_batch import StateBatch, row_from_state
 from skygcs.rpc import client_peer
 from skygcs.rpc.client import Client, connect
-from skygcs.rpc.order_reports import OrderReports
+from skygcs.rpc.json_lines import OrderReports
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
 from support.hub import until

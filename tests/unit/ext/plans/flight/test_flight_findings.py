@@ -26,7 +26,7 @@ from skygcs.ext.plans.flight.flight_findings import (
     refused,
     return_height_findings,
 )
-from skygcs.runtime import returns
+from skygcs.runtime import return_members
 from support.table import each
 
 MEASURED = FlightTime(600.0, "measured in flight")
@@ -55,7 +55,7 @@ async def test_a_return_height_that_is_no_number_is_not_known(said: float) -> No
         name="alpha", vehicle=SimpleNamespace(abilities=TABLE["px4", VehicleClass.COPTER]), params=Params()
     )
     assert await plan_checks.return_heights([actor]) == {"alpha": None}
-    assert await returns._param(actor, (("RTL_ALT", 100.0),)) is None
+    assert await return_members._param(actor, (("RTL_ALT", 100.0),)) is None
 
 
 def test_return_heights_that_are_too_near_name_both_and_what_to_set() -> None:

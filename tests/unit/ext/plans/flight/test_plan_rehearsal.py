@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, LossReach
-from skygcs.core.control.control_fence import Fence
+from skygcs.core.control.control_fence import COPTER_BRAKING, PX4_BRAKING, Fence, LossReach
 from skygcs.core.geo import Origin
 from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, TimedPlan
 from skygcs.core.trajectory import MotionLimits

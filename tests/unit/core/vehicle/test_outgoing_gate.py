@@ -8,12 +8,11 @@ from typing import Any
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import check, encode
 from skygcs.core.vehicle import gate
-from skygcs.core.vehicle.gate import Clearance, clear_message
+from skygcs.core.vehicle.gate import MAX_REPORTED, Clearance, OutgoingGate, clear_message
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.outgoing_gate import MAX_REPORTED, OutgoingGate
 from support.table import each
 
 DIALECT = load_dialect("ardupilotmega")

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
-from skygcs.core.params.pck import MAX_BYTES, decode
+from skygcs.core.mavlink.param_encoding import MAX_PACKED_BYTES, Param, ParamType, decode_packed, float32
 from skygcs.sim import param_table as sim
 from skygcs.sim.copter_files import packed
 from support.examples import examples
@@ -29,7 +28,7 @@ def test_names_continue_the_last_one_and_padding_is_skipped() -> None:
     data += b"\x01\x50ABC_ON\xff"  # int8, six characters
     data += b"\0\0\x02\x24MAX\xe8\x03"  # padding; int16, four characters of the last name and three more
     data += b"\x04\x06Z\x00\x00\x80\x3f"  # float, six and one more
-    held = decode(data)
+    held = decode_packed(data)
     assert held.params == (
         Param("ABC_ON", -1, ParamType.INT8),
         Param("ABC_MAX", 1000, ParamType.INT16),
@@ -40,7 +39,7 @@ def test_names_continue_the_last_one_and_padding_is_skipped() -> None:
 
 def test_default_values_are_told_where_they_are_there() -> None:
     data = struct.pack("<HHH", 0x671C, 2, 2) + b"\x11\x00A\x05\x02" + b"\x02\x00B\x07\x00"
-    held = decode(data)
+    held = decode_packed(data)
     assert [p.value for p in held.params] == [5, 7] and held.defaults == {"A": 2}
 
 
@@ -49,7 +48,7 @@ def test_default_values_are_told_where_they_are_there() -> None:
 def test_what_a_vehicle_packs_comes_out(values: dict[str, tuple[ParamType, float]], read_bytes: int) -> None:
     held = [Param(name, value, type_) for name, (type_, value) in sorted(values.items())]
     data = packed([sim.Param(p.name, p.value, int(p.type)) for p in held], read_bytes)
-    assert decode(data).params == tuple(held) and len(data) <= MAX_BYTES
+    assert decode_packed(data).params == tuple(held) and len(data) <= MAX_PACKED_BYTES
 
 
 @each(
@@ -69,14 +68,14 @@ def test_what_a_vehicle_packs_comes_out(values: dict[str, tuple[ParamType, float
 )
 def test_what_is_no_such_file_is_told(data: bytes, words: str) -> None:
     with pytest.raises(ValueError, match=words.replace("?", r"\?")):
-        decode(data)
+        decode_packed(data)
 
 
 @settings(max_examples=examples(300), deadline=None)
 @given(st.integers(0, 40), st.binary(max_size=200), st.booleans())
 def test_nothing_breaks_it(count: int, rest: bytes, defaults: bool) -> None:
     try:
-        held = decode(struct.pack("<HHH", 0x671B + defaults, count, count) + rest)
+        held = decode_packed(struct.pack("<HHH", 0x671B + defaults, count, count) + rest)
     except ValueError as error:
         assert str(error)
     else:
