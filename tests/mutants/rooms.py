@@ -61,7 +61,10 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "ext/plans/flight/test_plan_preparation.py",
         ),
         "ext/plans/certificates/plan_search.py": ("ext/plans/certificates/test_plan_search.py",),
-        "ext/plans/certificates/layered_flight.py": ("ext/plans/certificates/test_plan_search.py",),
+        "ext/plans/certificates/layered_flight.py": (
+            "ext/plans/certificates/test_layered_flight.py",
+            "ext/plans/certificates/test_plan_search.py",
+        ),
     },
     "leases": {
         "ext/federation/protocol/lease.py": (
