@@ -97,7 +97,9 @@ def test_who_shares_a_layer_keeps_apart_and_no_more_layers_or_rounds_are_used_th
     assert used == list(range(len(used)))
     crossings = ["cross"] if len(used) == 1 else [f"cross {n + 1}" for n in used]
     assert [phase.name for phase in plan.phases] == ["climb", *crossings, "descend"]
-    assert plan.phases[0].goals == {n: (*s[:2], pytest.approx(h)) for n, s, h in zip(names, starts, height, strict=True)}
+    assert plan.phases[0].goals == {
+        n: (*s[:2], pytest.approx(h)) for n, s, h in zip(names, starts, height, strict=True)
+    }
     for turn, phase in zip(used, plan.phases[1:-1], strict=True):
         crossing = [i for i in range(len(fleet)) if layers.round[i] == turn]
         assert phase.goals == {names[i]: (*goals[i][:2], pytest.approx(height[i])) for i in crossing}
@@ -143,7 +145,7 @@ def test_where_the_lowest_layer_is(start_m: float, goal_m: float, floor_m: float
 
 
 def test_the_most_constrained_go_first() -> None:
-    """Layers for random exchanges of a grid: the less constrained first, or in the order of the names, they take more."""
+    """Random exchanges of a grid take more layers in another order."""
     places = [(5.0 * (n % 5), 5.0 * (n // 5), 10.0) for n in range(20)]
     used = []
     for seed in range(5):
