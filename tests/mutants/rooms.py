@@ -81,11 +81,7 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "runtime/test_stop_orders.py",
             "../integration/test_orders_as_they_come.py",
         ),
-        "runtime/takeoffs.py": (
-            "runtime/test_vehicle_actor.py",
-            "../integration/test_engage_after_takeoff.py",
-            "../integration/test_takeoff_height.py",
-        ),
+        "runtime/takeoffs.py": ("runtime/test_takeoffs.py",),
         "core/vehicle/shared_ids.py": ("core/vehicle/test_shared_ids.py",),
         "back_off.py": ("test_back_off.py",),
     },
