@@ -96,7 +96,7 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "returns": {
         "core/monitor/departures.py": ("core/monitor/test_departures.py",),
-        "core/monitor/ways.py": ("core/monitor/test_ways.py", "core/monitor/test_departures.py"),
+        "core/monitor/ways.py": ("core/monitor/test_ways.py",),
         "core/monitor/order_check.py": (
             "core/monitor/test_monitor.py",
             "core/monitor/test_hold_circle.py",
