@@ -79,6 +79,9 @@ class Climber:
         fields = {"ok": True, "result": "accepted", "message": "", "order_number": number} | outcome
         self.takeoffs.begin(Outcome(**fields), HOME[2], height_m, engage=engage)
 
+    async def ended(self) -> str | None:
+        return await asyncio.wait_for(self.takeoffs.ended(), 2 * NOT_ORDERED_S)
+
     def told(self, kind: str) -> list[str]:
         return [event.text for event in self.events if event.kind == kind]
 
@@ -104,7 +107,7 @@ async def test_control_begins_at_its_height_and_what_waits_goes_on_after_it(
     climber.take_off(engage=engage)
     begun = climber.loop.time()
     assert climber.takeoffs.under_way() == "it is taking off (0.0 of 10.0 m)"
-    ended = asyncio.create_task(climber.takeoffs.ended())
+    ended = asyncio.create_task(climber.ended())
     await asyncio.sleep(5.05)
     assert climber.takeoffs.under_way() == "it is taking off (5.0 of 10.0 m)" and not climber.engaged
     assert await ended is None
@@ -135,7 +138,7 @@ async def test_what_became_of_the_control_decides(
 
     climber.engages_with = engages
     climber.take_off()
-    assert await climber.takeoffs.ended() == why
+    assert await climber.ended() == why
 
 
 @each(("accepted", "why"), [(True, None), (False, "it was switched to OFFBOARD during its take-off")])
@@ -151,7 +154,7 @@ async def test_offboard_is_where_control_leaves_a_px4(made: list[Climber], accep
     climber.take_off()
     await asyncio.sleep(9.95)
     climber.mode = PX4_LOITER
-    assert await climber.takeoffs.ended() == why and climber.engaged
+    assert await climber.ended() == why and climber.engaged
 
 
 @each(
@@ -177,7 +180,7 @@ async def test_one_that_does_not_end_as_it_was_ordered_engages_nothing(
     await asyncio.sleep(3.0)
     for name, value in ends.items():
         setattr(climber, name, value)
-    why = await climber.takeoffs.ended()
+    why = await climber.ended()
     assert why is not None and why.startswith("its take-off did not end as it was ordered: it")
     assert not climber.engaged and climber.takeoffs.under_way() is None
     assert climber.told("takeoff") == [f"its take-off is wrong: {text}" for text in told]
@@ -190,7 +193,7 @@ async def test_one_that_does_not_end_as_it_was_ordered_engages_nothing(
 async def test_an_order_that_takes_effect_ends_the_watch_and_one_in_progress_suspends_it(made: list[Climber]) -> None:
     made.append(climber := Climber())
     climber.take_off()
-    waits = asyncio.create_task(climber.takeoffs.ended())
+    waits = asyncio.create_task(climber.ended())
     await asyncio.sleep(3.0)
     # while it is sent nothing is judged, and refused it changes nothing
     number = climber.ledger.begins("goto", 1, ends_flight=False)
@@ -216,20 +219,20 @@ async def test_a_newer_take_off_takes_the_place_of_one_unless_it_is_refused(made
     assert climber.takeoffs.under_way() == "it is taking off (2.9 of 10.0 m)"
     climber.takeoffs.begin(ACCEPTED, None, 20.0, engage=True)
     assert climber.takeoffs.under_way() == "it is taking off (2.9 of 10.0 m)", "without a height nothing is watched"
-    waits = asyncio.create_task(climber.takeoffs.ended())
+    waits = asyncio.create_task(climber.ended())
     climber.top_m = 20.0
     await asyncio.sleep(1.0)
     climber.take_off(20.0)
     assert climber.takeoffs.under_way() == "it is taking off (3.9 of 20.0 m)"
     assert await waits == SUPERSEDED
-    assert await climber.takeoffs.ended() is None and climber.engaged == ["position"] and climber.up_m > 18.0
+    assert await climber.ended() is None and climber.engaged == ["position"] and climber.up_m > 18.0
 
 
 async def test_it_may_be_one_whose_number_is_not_known_or_that_took_effect_unanswered(made: list[Climber]) -> None:
     made.append(climber := Climber())
     climber.order()
     climber.take_off(order_number=None)
-    assert await climber.takeoffs.ended() is None and climber.engaged
+    assert await climber.ended() is None and climber.engaged
     # one that failed but may have had an effect ends the watch over the one before
     climber.take_off(20.0)
     number = climber.order()
@@ -240,7 +243,7 @@ async def test_it_may_be_one_whose_number_is_not_known_or_that_took_effect_unans
 async def test_when_the_daemon_ends_nothing_is_begun(made: list[Climber]) -> None:
     made.append(climber := Climber())
     climber.take_off()
-    waits = asyncio.create_task(climber.takeoffs.ended())
+    waits = asyncio.create_task(climber.ended())
     await asyncio.sleep(2.0)
     climber.takeoffs.cancel()
     climber.takeoffs.cancel()
@@ -265,12 +268,12 @@ async def test_one_that_was_not_ordered_here_is_waited_for(
     made: list[Climber], autopilot: int, change: dict[str, Any], after_s: float, why: str | None
 ) -> None:
     made.append(climber := Climber(autopilot=autopilot))
-    assert autopilot == PX4 or (climber.takeoffs.under_way() is None and await climber.takeoffs.ended() is None)
+    assert autopilot == PX4 or (climber.takeoffs.under_way() is None and await climber.ended() is None)
     climber.state = TAKEOFF_STATE
     climber._say()
     begun = climber.loop.time()
     assert climber.takeoffs.under_way() == "it reports a take-off"
-    waits = asyncio.create_task(climber.takeoffs.ended())
+    waits = asyncio.create_task(climber.ended())
     await asyncio.sleep(5.0)
     assert not waits.done()
     if (takes_effect := change.pop("order", None)) is not None:
@@ -287,7 +290,7 @@ async def test_the_mode_it_had_before_is_no_switch(made: list[Climber]) -> None:
     climber.mode = RTL
     climber.state = TAKEOFF_STATE
     climber._say()
-    waits = asyncio.create_task(climber.takeoffs.ended())
+    waits = asyncio.create_task(climber.ended())
     await asyncio.sleep(2.0)
     climber.state = IN_AIR
     assert await waits is None

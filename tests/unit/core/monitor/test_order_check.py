@@ -6,6 +6,7 @@ import itertools
 import math
 import random
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -158,6 +159,11 @@ def test_straight_courses_are_compared_exactly(fleet: Any, count: int, end_s: fl
                 if least < min(near)[0] + 1e-6
             )
     assert found.keys() <= {one.key for one in flown[:count]}
+
+
+def test_what_comes_after_the_end_does_not_count() -> None:
+    a, b = straight(1, (0.0, 0.0, 20.0)), straight(2, (10.0, 1.0, 20.0), (-1.0, 0.0, 0.0))
+    assert not conflicts(a, b, end_s=7.6) and conflicts(a, b, end_s=7.8)
 
 
 def test_what_is_too_much_is_refused_and_not_passed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -315,6 +321,8 @@ NEED = "; they need 2.5 m, heights divided by 2"
         ((40.0, 0.0, 0.0), other(20.0, 125.0, 0.0, age_s=99.0, lost=True), None),
         ((40.0, 0.0, 0.0), other(20.0, 140.0, 0.0, age_s=99.0, lost=True, vel=(0.0, -2.0, 0.0)), "near v2"),
         ((40.0, 0.0, 0.0), other(20.0, 146.0, 0.0, age_s=99.0, lost=True, vel=(0.0, -2.0, 0.0)), None),
+        ((40.0, 0.0, 0.0), other(47.0, 0.0, 0.0, age_s=2.0, lost=True, vel=(-2.0, 0.0, 0.0)), "come 3.0 m near v2"),
+        ((40.0, 0.0, 0.0), other(20.0, 0.0, 11.0, age_s=2.0, lost=True, vel=(0.0, 0.0, -2.0)), "come 3.5 m near v2"),
         # it flies straight on, for 10 s after this one is there and no longer than that
         ((10.0, 0.0, 0.0), other(10.0, -10.0, 0.0, vel=(0.0, 2.0, 0.0)), "v1 would come 0.0 m near v2 (in the air)"),
         ((10.0, 0.0, 0.0), other(10.0, -30.0, 0.0, vel=(0.0, 2.0, 0.0)), None),
@@ -389,7 +397,7 @@ def flown(points: list[Vector], speed_mps: float) -> list[tuple[float, Vector]]:
     return timed
 
 
-def where(timed: list[tuple[float, Vector]], at_s: float) -> Vector:
+def where(timed: Sequence[tuple[float, Vector]], at_s: float) -> Vector:
     for (s, p), (t, q) in itertools.pairwise(timed):
         if s <= at_s < t:
             part = (at_s - s) / (t - s)
@@ -458,8 +466,6 @@ def test_orders_are_compared_as_they_would_be_flown(
         wanted = meets([REST, to], 5.0, 10.0)
         if not wanted and any(moves):
             wanted, ends = meets(outermost(moves, to), 5.0, 10.0), ", before it has turned there"
-            points = turning_points(REST, moves, mover(moves).turns_m, to)
-            assert [*itertools.chain(*points)] == pytest.approx([*itertools.chain(*outermost(moves, to))], abs=1e-6)
     elif order == "takeoff":
         height_m = 8.0 + to[2]
         text = takeoff_conflict(mover(), height_m, [there], NOW)
@@ -497,6 +503,10 @@ def test_orders_are_compared_as_they_would_be_flown(
         (replace(mover(FAST), stops_in_m=4.0), (0.0, 4.0, 0.0), (0.0, 6.6, 0.0), False),
         (replace(mover(FAST), stops_in_m=4.0), (0.0, 3.0, 0.0), (0.0, 6.4, 0.0), True),
         (mover(), (40.0, 0.0, 0.0), (4.0, 2.6, 0.0), False),
+        # beside the last part of its way, above it, and behind it, where it is not nearer later
+        (mover(FAST), (40.0, 0.0, 0.0), (20.0, 3.3, 0.0), True),
+        (mover((0.0, 0.0, 5.0)), (40.0, 0.0, 0.0), (20.0, 0.0, 5.3), True),
+        (mover(FAST), (40.0, 0.0, 0.0), (0.0, -2.0, 0.0), False),
     ],
 )
 def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector, found: bool) -> None:
@@ -507,12 +517,21 @@ def test_what_moves_turns_beside_its_way(moves: Mover, to: Vector, place: Vector
         assert text is None or text.endswith(", before it has turned there"), text
 
 
-def test_it_turns_alike_wherever_it_is() -> None:
-    here, to = (5.0, -7.0, 3.0), (45.0, 4.0, -6.0)
-    moved = turning_points((0.0, 0.0, 0.0), FAST, ON_M, (40.0, 11.0, -9.0))
-    assert len(moved) == 4 and turning_points(here, (0.0, 0.0, 0.0), 0.0, to) == (here,)
-    for point, other_point in zip(turning_points(here, FAST, ON_M, to), moved, strict=True):
-        assert point == pytest.approx([p + q for p, q in zip(other_point, here, strict=True)])
+@given(spot, spot, st.sampled_from((0.1, 1.0, 4.0)), st.sampled_from((REST, FAST, (-3.0, 2.0, 1.0), (0.5, 0.0, -2.0))))
+def test_what_turns_flies_on_and_then_aside_wherever_it_is(
+    here: Vector, way: Vector, scale: float, moves: Vector
+) -> None:
+    to: Vector = tuple(h + scale * w for h, w in zip(here, way, strict=True))
+    points = turning_points(here, moves, mover(moves).turns_m, to)
+    wanted = outermost(moves, tuple(scale * w for w in way)) if any(moves) else [REST]
+    assert [p - h for point in points for p, h in zip(point, here, strict=True)] == pytest.approx(
+        [*itertools.chain(*wanted)], abs=1e-6
+    )
+
+
+def test_what_is_on_the_straight_way_is_named_as_such_although_it_turns_first() -> None:
+    text = goto_conflict(mover(FAST), at(40.0, 0.0, 0.0), [other(30.0, -2.4, 0.0)], NOW)
+    assert text is not None and text.endswith("heights divided by 2")
 
 
 @each(
@@ -590,11 +609,9 @@ def test_a_curve_stays_within_its_bow_of_each_chord(seed: int) -> None:
 
 @each("most", [order_check.MOST_POINTS, 12, 3])
 def test_the_space_of_a_trajectory_holds_all_that_is_left_of_it(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There and back, 10 m east in 3 s by a bulge of 3 m; of a long one the points are farther apart in time."""
+    """Six times 10 m east in 3 s by a bulge of 3 m; of a long one the points are farther apart in time."""
     x, y = (0.0, 0.0, 10.0 / 3.0, -20.0 / 27.0), (0.0, 0.0, 48.0 / 9.0, -96.0 / 27.0, 48.0 / 81.0)
-    there = Piece(3.0, x, y, (20.0,))
-    back = Piece(3.0, (10.0, *(-part for part in x[1:])), tuple(-part for part in y), (20.0,))
-    loaded = LoadedTrajectory(Trajectory([there, back] * 3))
+    loaded = LoadedTrajectory(Trajectory([Piece(3.0, (10.0 * n, *x[1:]), y, (20.0,)) for n in range(6)]))
     clock = common_clock([loaded], 1.0, 1.0)
     frame = EnuFrame(ORIGIN)
     monkeypatch.setattr(order_check, "MOST_POINTS", most)
@@ -610,23 +627,24 @@ def test_the_space_of_a_trajectory_holds_all_that_is_left_of_it(most: int, monke
     assert worst_m <= space.bow_m + 0.4 and space.bow_m == pytest.approx(bow_m, rel=0.01)
     # what is left, as a whole and near a line
     chance = random.Random(most)
-    for _ in range(40):
+    for _ in range(300):
         now = chance.uniform(0.0, lasts_s - 0.01)
         left = space.left(now)
-        assert math.dist(frame.from_ecef(left[-1]), (0.0, 0.0, 20.0)) < 1e-6
+        assert math.dist(frame.from_ecef(left[-1]), (60.0, 0.0, 20.0)) < 1e-6
         step_s = (lasts_s - now) / (len(left) - 1)
         assert space.left(now) == left and step_s * (len(left) - 2) <= lasts_s - now <= step_s * len(left)
-        ends = [ecef(*frame.to_geodetic(chance.uniform(-9, 19), chance.uniform(-9, 9), 20.0)) for _ in "ab"]
-        need_m = chance.uniform(0.1, 4.0)
+        x_m, y_m, up_m = (
+            p + chance.uniform(-0.5, 0.5) for p in loaded.trajectory.at(chance.uniform(now, 18)).pos_enu_m
+        )
+        ends = [ecef(*frame.to_geodetic(x_m, y_m + along_m, up_m)) for along_m in (0.0, chance.choice((0.1, -9.0)))]
+        need_m = chance.choice((0.1, 0.3, 1.0, 3.0))
         parts = space.left_near((ends[0], ends[1]), need_m, now)
         legs = {leg for part in parts for leg in itertools.pairwise(part)}
-        line = along([frame.from_ecef(point) for point in ends])
-        for leg in itertools.pairwise(left):
-            if leg not in legs:
-                mine = replace(way, legs=along([frame.from_ecef(point) for point in leg]))
-                assert distance_m(mine, replace(way, legs=line)) >= need_m
+        line = [where(list(enumerate(ends)), 0.1 * n) for n in range(11)]
+        for leg in set(itertools.pairwise(left)) - legs:
+            assert all(math.dist(point, q) >= need_m for point in leg for q in line)
         assert legs <= set(itertools.pairwise(left))
         assert all(2 <= len(part) <= order_check.LEGS_A_PART + 1 for part in parts)
     far = ecef(*frame.to_geodetic(5.0, -9.0, 20.0)), ecef(*frame.to_geodetic(5.0, -7.0, 20.0))
-    assert space.left_near(far, 6.1, 0.0) and not space.left_near(far, 1.0, 0.0)
+    assert space.left_near(far, 9.0, 0.0) and not space.left_near(far, 1.0, 0.0)
     assert len(space.left(lasts_s - 0.01)) == 2 and space.left(lasts_s) == []
