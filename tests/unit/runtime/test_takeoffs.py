@@ -276,10 +276,11 @@ async def test_one_that_was_not_ordered_here_is_waited_for(
     waits = asyncio.create_task(climber.ended())
     await asyncio.sleep(5.0)
     assert not waits.done()
-    if (takes_effect := change.pop("order", None)) is not None:
-        climber.order(takes_effect=takes_effect)
     for name, value in change.items():
-        setattr(climber, name, value)
+        if name == "order":
+            climber.order(takes_effect=value)
+        else:
+            setattr(climber, name, value)
     assert await waits == why
     assert climber.loop.time() - begun == pytest.approx(after_s, abs=2 * LOOK_S + 0.1)
 
