@@ -161,9 +161,12 @@ def test_straight_courses_are_compared_exactly(fleet: Any, count: int, end_s: fl
     assert found.keys() <= {one.key for one in flown[:count]}
 
 
-def test_what_comes_after_the_end_does_not_count() -> None:
+def test_only_what_comes_before_the_end_and_is_known_counts() -> None:
     a, b = straight(1, (0.0, 0.0, 20.0)), straight(2, (10.0, 1.0, 20.0), (-1.0, 0.0, 0.0))
     assert not conflicts(a, b, end_s=7.6) and conflicts(a, b, end_s=7.8)
+    b = straight(2, (40.0, 0.0, 20.0), (-2.0, 0.0, 0.0))
+    assert "v1 would come 0.0 m near v2 (in the air) in 20.0 s" in conflicts(a, b, end_s=60.0)[1]
+    assert not conflicts(a, replace(b, known_s=10.0), end_s=60.0)
 
 
 def test_what_is_too_much_is_refused_and_not_passed(monkeypatch: pytest.MonkeyPatch) -> None:
