@@ -159,6 +159,8 @@ def test_each_is_told_of_the_first_other_way_and_none_of_itself() -> None:
     assert found == {1: said.format("v1", "0.4", "v2", "2.8"), 2: said.format("v2", "0.4", "v1", "2.8")}
     found, _ = work([a], [replace(a, name="older"), c])
     assert found == {1: said.format("v1", "0.8", "v3", "2.9")}
+    beside = [way(n, [(0.0, y, 20.0), (50.0, y, 20.0)]) for n, y in ((1, 0.0), (2, 2.0), (3, -2.0))]
+    assert set(work(beside, [])[0]) == {1, 2, 3}, "of the first with both others, which keep clear of each other"
     far = way(4, [(0.0, 90.0, 20.0)])
     assert work([far, a], [c])[0] == {1: said.format("v1", "0.8", "v3", "2.9")}
 
@@ -198,6 +200,17 @@ def test_each_pair_is_compared_once_and_in_small_pieces(compared: list[int]) -> 
         most, before = max(most, compared[0] - before), compared[0]
     assert set(found) == {1, 2}
     assert most <= ways.LEGS_A_PART**2 and compared[0] <= len(a.legs) * len(b.legs)
+
+
+def test_parts_that_meet_the_box_of_another_way_and_none_of_its_parts_are_looked_at_one_by_one() -> None:
+    """It flies around the other one."""
+    corners = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0), (-900.0, -900.0)]
+    around: list[Vector] = []
+    for (x, y), (u, v) in itertools.pairwise(corners):
+        around += [(x + (u - x) * n / 8, y + (v - y) * n / 8, 20.0) for n in range(8)]
+    a, b = way(1, comb(20.0, count=60)), way(2, around)
+    found, pieces = work([a], [b])
+    assert not found and pieces == 1 + len(a.parts) == 9
 
 
 def test_a_leg_without_a_top_meets_what_is_above_it() -> None:
