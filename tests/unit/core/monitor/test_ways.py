@@ -195,10 +195,13 @@ def test_missions_above_or_beside_each_other_are_told_apart_by_their_boxes(compa
 
 def test_each_pair_is_compared_once_and_in_small_pieces(compared: list[int]) -> None:
     a, b = way(1, comb(20.0, count=60)), way(2, comb(40.0, east_m=5.0, count=60), 30.0)
-    before, most = 0, 0
+    before, most, turns = 0, 0, 0
     for _ in find_way_conflicts([a, b], [], found := {}):
+        turns += 1
         most, before = max(most, compared[0] - before), compared[0]
     assert set(found) == {1, 2}
+    meet = sum(ways._boxes_meet(p, q, needed_m(a, b)) for p in a.parts for q in b.parts)
+    assert turns == 1 + len(a.parts) + meet > 20
     assert most <= ways.LEGS_A_PART**2 and compared[0] <= len(a.legs) * len(b.legs)
 
 

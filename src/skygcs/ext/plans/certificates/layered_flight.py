@@ -116,7 +116,6 @@ def _conflicts(
     start_j = point_segment(level_s[None], level_s[:, None], level_g[:, None])[0]
     goal_i = point_segment(level_g[:, None], level_s[None], level_g[None])[0]
     order = (start_j < margin) | (goal_i < margin)
-    np.fill_diagonal(order, False)
     blocked = np.zeros((count, len(heights)), dtype=bool)
     for place in space.standing.values():
         point = np.array([place[0], place[1], 0.0])
@@ -144,8 +143,7 @@ def _assign(conflicts: _Conflicts, rounds: int) -> tuple[list[int], list[int]] |
         waiting[chosen] = False
         r, place = int(turn[chosen]), int(layer[chosen])
         free[:, r, place] &= ~conflicts.same_round[chosen]
-        if r > 0:  # others before it
-            free[:, :r, place] &= ~conflicts.order[:, chosen][:, None]
+        free[:, :r, place] &= ~conflicts.order[:, chosen][:, None]  # others before it
         free[:, r + 1 :, place] &= ~conflicts.order[chosen][:, None]
     return [int(v) for v in layer], [int(v) for v in turn]
 
