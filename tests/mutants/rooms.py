@@ -64,7 +64,10 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "ext/plans/flight/test_plan_preparation.py",
         ),
         "ext/plans/certificates/plan_search.py": ("ext/plans/certificates/test_plan_search.py",),
-        "ext/plans/certificates/layered_flight.py": ("ext/plans/certificates/test_plan_search.py",),
+        "ext/plans/certificates/layered_flight.py": (
+            "ext/plans/certificates/test_layered_flight.py",
+            "ext/plans/certificates/test_plan_search.py",
+        ),
     },
     "leases": {
         "ext/federation/protocol/lease.py": (
@@ -85,11 +88,7 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
             "runtime/test_vehicle_actor.py",
             "../integration/test_orders_as_they_come.py",
         ),
-        "runtime/takeoffs.py": (
-            "runtime/test_vehicle_actor.py",
-            "../integration/test_engage_after_takeoff.py",
-            "../integration/test_takeoff_height.py",
-        ),
+        "runtime/takeoffs.py": ("runtime/test_takeoffs.py",),
         "core/vehicle/shared_ids.py": ("core/vehicle/test_shared_ids.py",),
         "back_off.py": ("test_back_off.py",),
     },
@@ -104,7 +103,7 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "returns": {
         "core/monitor/departures.py": ("core/monitor/test_departures.py",),
-        "core/monitor/ways.py": ("core/monitor/test_ways.py", "core/monitor/test_departures.py"),
+        "core/monitor/ways.py": ("core/monitor/test_ways.py",),
         "core/monitor/order_check.py": (
             "core/monitor/test_monitor.py",
             "core/monitor/test_hold_circle.py",

@@ -218,9 +218,11 @@ def test_nobody_takes_off_into_the_circle_of_a_plane() -> None:
     assert takeoff_conflict(here, 50.0, [sent], 1000.0) is None  # it circles elsewhere
 
 
-def test_a_plane_takes_off_ahead_and_not_straight_up() -> None:
+@each("heading_rad", [0.0, 0.7, 2.0, 4.0])
+def test_a_plane_takes_off_ahead_and_not_straight_up(heading_rad: float) -> None:
     mine = mover(WatchedVehicle(1, "kite"), 0.0)
-    ahead, above, behind = hovering(2, 0.0, 60.0, 32.0), hovering(3, 0.0, 0.0, 60.0), hovering(4, 0.0, -300.0, 60.0)
-    for other, meets in ((ahead, True), (above, False), (behind, False)):
-        found = goto_conflict(mine, climb_out_end(mine, 50.0, 0.0), [Other(seen(other))], 1000.0)
-        assert (found is not None) is meets, (other.vehicle.name, found)
+    east, north = math.sin(heading_rad), math.cos(heading_rad)
+    for along_m, up_m, meets in ((60.0, 32.0, True), (0.0, 60.0, False), (-300.0, 60.0, False)):
+        other = hovering(2, along_m * east, along_m * north, up_m)
+        found = goto_conflict(mine, climb_out_end(mine, 50.0, heading_rad), [Other(seen(other))], 1000.0)
+        assert (found is not None) is meets, (along_m, found)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skygcs.core.routing import router
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+from skygcs.core.routing.router import WINDOW_S, DuplicateFilter, ParallelChannels
 from skygcs.core.routing.routing_table import RoutingVerdict
 from support.examples import examples
 from support.routed import RoutedNet, five_ports, heartbeat, message
+from support.table import each
 
 VEHICLE = ChannelPolicy(role="vehicle")
 RADIO = ChannelPolicy(role="radio", forward_unknown=False)
@@ -104,10 +108,67 @@ def test_a_frame_heard_over_two_links_is_forwarded_once() -> None:
     net = of(a=ChannelPolicy(), b=ChannelPolicy(), gcs=GCS)
     for seq in range(20):
         frame = message("ATTITUDE", 1, seq=seq, roll=seq * 0.1)
-        net.datagram("a", frame)
-        net.datagram("b", frame)
+        first, second = ("a", "b") if seq % 3 else ("b", "a")
+        net.datagram(first, frame)
+        net.datagram(second, frame)
+        assert net.router.first_channel_id == net.ids[first]
     assert len(net.got["gcs"]) == 20
     assert net.router.counters[RoutingVerdict.DUPLICATE] == 20
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(1, 3), st.sampled_from((0.0, 0.1, 0.4, 0.9, 1.1, 3.0)))))
+def test_a_frame_is_remembered_for_a_second_and_forgotten_after_two(frames: list[tuple[int, int, float]]) -> None:
+    """Unless more than so many are: the oldest of those are forgotten."""
+    seen, now, begun = DuplicateFilter(), 50.0, dict[int, tuple[float, int]]()
+    for key, channel_id, pause_s in frames:
+        now += pause_s
+        first = seen.first_heard_on(key, channel_id, now)
+        at, before = begun.get(key, (-10.0, channel_id))
+        if now - at < WINDOW_S:
+            assert first == before
+        elif now - at > 2.0 * WINDOW_S:
+            assert first == channel_id
+        if first == channel_id != before or now - at > 2.0 * WINDOW_S:
+            begun[key] = now, channel_id
+        elif first == channel_id and now - at >= WINDOW_S:  # forgotten and remembered anew, or not: both are right
+            del begun[key]
+
+
+def test_more_frames_than_are_remembered_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(router, "MAX_REMEMBERED", 4)
+    seen = DuplicateFilter()
+    for key in range(7):
+        assert seen.first_heard_on(key, 1, 0.0) == 1
+    assert [seen.first_heard_on(key, 2, 0.0) for key in range(7)] == [1] * 7
+    seen.first_heard_on(7, 1, 0.0)
+    assert [seen.first_heard_on(key, 2, 0.0) for key in (4, 7, 0)] == [1, 1, 2]
+
+
+@each(("lost", "switches"), [(4, False), (8, True)])
+def test_a_parallel_link_is_preferred_where_it_hears_a_tenth_more(lost: int, switches: bool) -> None:
+    """Of 64 frames; one that is gone is none, and one that carries no copies is no other way."""
+    links = ParallelChannels(1)
+    for n in range(64):
+        if n >= lost:
+            links.on_frame(1, copy=True)
+        links.on_frame(2, copy=False)
+    assert links.active and links.best == (2 if switches else 1)
+    assert links.choose({1: 0.0, 2: 0.0, 3: 9.0}, 9.0) == links.best
+    assert links.choose({1: 8.0, 2: 8.5, 3: 9.0}, 9.0) == links.best
+    assert links.choose({1: 8.5, 2: 0.0, 3: 9.0}, 9.0) == 1
+    for _ in range(3):
+        links.on_frame(links.best, copy=False)
+    gone = links.best
+    links.forget(gone)
+    assert links.best == 3 - gone and links.channel_ids == {3 - gone}
+
+
+def test_a_message_of_ours_goes_to_the_component_where_that_is_heard() -> None:
+    net = of(wire=VEHICLE, radio=ChannelPolicy())
+    net.datagram("wire", heartbeat(1))
+    net.datagram("radio", message("HEARTBEAT", 1, 154, type=30, autopilot=8, mavlink_version=3))
+    assert net.router.route_own(1, 1, net.now) == (net.ids["wire"],)
+    assert net.router.route_own(1, 154, net.now) == (net.ids["radio"],)
 
 
 def test_a_repeated_frame_on_the_same_link_is_no_copy() -> None:

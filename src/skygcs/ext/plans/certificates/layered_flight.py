@@ -17,6 +17,7 @@ One round is tried first with all layers below the ceiling, then two, and so on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -69,13 +70,13 @@ def layered(
     """Phases for all vehicles; the reason where the layers below the ceiling do not suffice in any number of rounds."""
     s, g, half = np.asarray(starts, dtype=float), np.asarray(goals, dtype=float), np.asarray(half_margins_m)
     spacing = 2.0 * float(half.max()) * downwash_ratio + GAP_M * downwash_ratio
-    base = max(min(float(s[:, 2].min()), float(g[:, 2].min())), space.floor_m or -np.inf)
+    base = min(float(s[:, 2].min()), float(g[:, 2].min()))
     if space.floor_m is not None and base <= space.floor_m:  # nobody crosses on the ground
         lowest_goal_m = float(g[:, 2].min())
-        base = lowest_goal_m if lowest_goal_m >= space.floor_m + LIFT_M else base + spacing
+        base = lowest_goal_m if lowest_goal_m >= space.floor_m + LIFT_M else space.floor_m + spacing
     count = MAX_LAYERS
     if space.ceiling_m is not None:
-        count = int((space.ceiling_m - float(half.max()) - base) / spacing + 1e-9) + 1
+        count = math.floor((space.ceiling_m - float(half.max()) - base) / spacing + 1e-9) + 1
     if count < 1:
         return f"there is no layer between {base:g} m and the ceiling at {space.ceiling_m:g} m"
     heights = [base + spacing * layer for layer in range(min(count, MAX_LAYERS))]
@@ -115,7 +116,6 @@ def _conflicts(
     start_j = point_segment(level_s[None], level_s[:, None], level_g[:, None])[0]
     goal_i = point_segment(level_g[:, None], level_s[None], level_g[None])[0]
     order = (start_j < margin) | (goal_i < margin)
-    np.fill_diagonal(order, False)
     blocked = np.zeros((count, len(heights)), dtype=bool)
     for place in space.standing.values():
         point = np.array([place[0], place[1], 0.0])
@@ -143,8 +143,7 @@ def _assign(conflicts: _Conflicts, rounds: int) -> tuple[list[int], list[int]] |
         waiting[chosen] = False
         r, place = int(turn[chosen]), int(layer[chosen])
         free[:, r, place] &= ~conflicts.same_round[chosen]
-        if r > 0:  # others before it
-            free[:, :r, place] &= ~conflicts.order[:, chosen][:, None]
+        free[:, :r, place] &= ~conflicts.order[:, chosen][:, None]  # others before it
         free[:, r + 1 :, place] &= ~conflicts.order[chosen][:, None]
     return [int(v) for v in layer], [int(v) for v in turn]
 

@@ -17,7 +17,7 @@ from pydantic_core import from_json, to_json
 
 from skygcs.errors import DaemonUnreachable, HubAway, NobodyThere, RpcError
 from skygcs.ext.federation.bridge.bus import Message, OnRequest
-from skygcs.ext.federation.bridge.leases import DAEMON_SILENT_S
+from skygcs.ext.federation.bridge.leases import DAEMON_SILENT_S, RELEASE_WITHIN_S, TAKE_WITHIN_S
 from skygcs.ext.federation.config import SharedVehicle
 from skygcs.ext.federation.protocol.lease import NEW_HUB_S, TTL_S, VALID_S, decode_entry
 from skygcs.rpc import error_codes
@@ -197,6 +197,7 @@ async def sites(shared: SharedVehicle = STOPS) -> AsyncIterator[tuple[Site, Site
         watching.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await watching
+        assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("leases: ")]
 
 
 # -- who holds it
@@ -242,6 +243,44 @@ async def test_a_bridge_that_ends_gives_it_back_at_once() -> None:
         assert not north.sends and hub.holder() is None and north.bus.served == {}
         await south.until(lambda: south.lease()["holder"] is None, TTL_S - 1.0)
         assert (await south.call("federation.take", "alpha"))["held"]
+
+
+async def test_a_bridge_that_ends_without_the_hub_waits_a_second_for_it_and_sends_no_more() -> None:
+    async with sites(GOES_ON) as (north, _, hub):
+        north.bus.set_connected(False)
+        await asyncio.sleep(2 * TTL_S)
+        begun = asyncio.get_running_loop().time()
+        await north.end()
+        assert asyncio.get_running_loop().time() - begun <= RELEASE_WITHIN_S + 0.2
+        assert not north.sends and north.bus.served == {} and hub.holder() is None
+
+
+async def test_a_holder_that_answers_nobody_keeps_it_and_is_named() -> None:
+    async with sites() as (north, south, hub):
+        await asyncio.sleep(30.0)
+        south.reported.recent.clear()
+        served = dict(north.bus.served)
+        north.bus.served.clear()
+        begun = asyncio.get_running_loop().time()
+        with pytest.raises(RpcError, match=r"^alpha was not taken: ") as refused:
+            await south.call("federation.take", "alpha")
+        assert asyncio.get_running_loop().time() - begun <= TAKE_WITHIN_S + 0.2
+        assert "north" in str(refused.value) and "--force" not in str(refused.value)
+        assert north.sends and hub.holder() == "north"
+        north.bus.served.update(served)
+
+
+async def test_a_store_on_another_server_is_another_store() -> None:
+    async with sites() as (north, south, hub):
+        before = north.leases._known.name
+        for site in (north, south):
+            site.bus.server_info["server_id"] = "second hub"
+            site.bus.set_connected(False)
+        hub.entries.clear()
+        for site in (north, south):
+            site.bus.set_connected(True)
+        await asyncio.sleep(2 * NEW_HUB_S)
+        assert north.sends and before != north.leases._known.name == south.leases._known.name
 
 
 async def test_a_bridge_that_is_killed_goes_on_with_what_its_daemon_has() -> None:

@@ -139,13 +139,6 @@ def test_fifty_antipodal_on_a_circle_need_layers() -> None:
     assert isinstance(make_plan(task(ring, ring[25:] + ring[:25]), RULE, LIMITS).plan, PhasedPlan)
 
 
-def test_nobody_crosses_on_the_ground() -> None:
-    starts = [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)]
-    found = make_plan(task(starts, starts[::-1], kind="phased"), RULE, LIMITS, FlightSpace(floor_m=0.0))
-    assert isinstance(found.plan, PhasedPlan)
-    assert min(z for _, _, z in found.plan.phases[0].goals.values()) >= 5.0
-
-
 def test_a_task_that_is_none_is_refused() -> None:
     place = (0.0, 0.0, 0.0)
     for starts, goals, words in (
