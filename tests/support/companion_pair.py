@@ -49,8 +49,6 @@ class CallsByMemory:
         self.delay_s = delay_s
         self.loss = loss
         self.up = True
-        self.skew_s = 0.0
-        """Added by the companion's clock; the vehicle's times stay the loop's."""
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.served: list[asyncio.Task[Any]] = []
         self.lose: Callable[[str, dict[str, Any]], bool] = lambda method, params: False

@@ -63,7 +63,6 @@ class NetworkPort:
         self.loss = 0.0
         self.delay_s = 0.005
         self.jitter_s = 0.0
-        self.down_lost = self.up_lost = 0
         self._loop = asyncio.get_running_loop()
         self._random = random.Random(seed)
         self._peer = link.peer
@@ -91,9 +90,7 @@ class NetworkPort:
 
     def _flush(self) -> None:
         for raw in self._tx.take():
-            if self.cut or self._random.random() < self.loss:
-                self.down_lost += 1
-            else:
+            if not self.cut and self._random.random() >= self.loss:
                 self._loop.call_later(self._delay_s(), self._peer.send, raw)
 
     def _delay_s(self) -> float:
@@ -101,9 +98,7 @@ class NetworkPort:
 
     def _on_bytes(self, data: bytes) -> None:
         for frame in self._parser.feed(data):
-            if self.cut or self.deaf or self._random.random() < self.loss:
-                self.up_lost += 1
-            else:
+            if not self.cut and not self.deaf and self._random.random() >= self.loss:
                 self._loop.call_later(self._delay_s(), self._hear, frame)
 
     def _hear(self, frame: Frame) -> None:
