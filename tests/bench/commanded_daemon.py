@@ -4,18 +4,13 @@ how long orders take to be acknowledged."""
 from __future__ import annotations
 
 import asyncio
-import logging
-from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Literal
-
-import structlog
 
 from skygcs.daemon import Daemon
 from skygcs.sim import protocol as m
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle import SimVehicle
-from support.virtual_asyncio import VirtualAsyncio
 
 Column = Literal["plain", "skygcs"]
 
@@ -77,27 +72,6 @@ def percentile(values: list[float], share: float) -> float | None:
     """None of nothing."""
     ordered = sorted(values)
     return round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 3) if ordered else None
-
-
-def in_virtual_time(work: Coroutine[Any, Any, Measured]) -> Measured:
-    """On a loop whose clock jumps to the next thing to do."""
-    loop = VirtualAsyncio()
-    asyncio.set_event_loop(loop)
-    try:
-        return loop.run_until_complete(work)
-    finally:
-        asyncio.set_event_loop(None)
-        loop.close()
-
-
-class Quiet:
-    """No logs of a daemon that is measured, until `close`."""
-
-    def __init__(self) -> None:
-        structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
-
-    def close(self) -> None:
-        structlog.reset_defaults()
 
 
 def furnish(sim: SimVehicle, now: float) -> None:

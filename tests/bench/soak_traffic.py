@@ -297,7 +297,6 @@ class World:
         self.hostile = self._receiver("the hostile peer", -1)
         self.telemetry = [_kind(name) for name in TELEMETRY]
         self.onboard = [_kind(name) for name in ONBOARD]
-        self.commands_at = 0.0
         self.beats_at = 0.0
         everybody = self._mask(self.receivers)
         of_link = {link: self._mask([v.receiver for v in self.vehicles if v.link == link]) for link in links}

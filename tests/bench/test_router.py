@@ -59,7 +59,7 @@ def routers(folder: Path) -> list[bench.Router]:
         found.append(bench.mavproxy(mavproxy, folder))
     for name, command in json.loads(os.environ.get("SKYGCS_BENCH_ROUTERS", "{}")).items():
         found.append(bench.Router(name, shlex.split(command)))
-    return [router for router in found if router is not None]
+    return found
 
 
 def measured(target: bench.Running, load: list[str], case: dict[str, Any]) -> dict[str, float]:
@@ -100,12 +100,10 @@ def test_router(tmp_path: Path) -> None:
     table = {
         case: {n: {k: bench.spread(v) for k, v in row.items()} for n, row in by.items()} for case, by in rows.items()
     }
-    ratios: dict[str, Any] = {}
-    if BARE in rows["saturated"]:
-        ratios = {
-            case: {key: bench.ratios(by, key, BARE) for key in ("cpu_us", "p99_us", "per_s") if key in by[BARE]}
-            for case, by in rows.items()
-        }
+    ratios = {
+        case: {key: bench.ratios(by, key, BARE) for key in ("cpu_us", "p99_us", "per_s") if key in by[BARE]}
+        for case, by in rows.items()
+    }
     keep("router", {"rounds": ROUNDS, "load_average": os.getloadavg(), "table": table, "ratios": ratios})
     show(table, ratios)
     draw(table)
@@ -137,8 +135,6 @@ def show(table: dict[str, Any], ratios: dict[str, Any]) -> None:
 
 
 def spread_text(ratios: dict[str, Any], case: str, key: str, name: str) -> str:
-    if not ratios:
-        return ""
     r = ratios[case][key][name]
     return f"x {r['median']:.2f} ({r['min']:.2f}..{r['max']:.2f})"
 

@@ -85,6 +85,14 @@ def ground(field: Field) -> Field:
 
 
 @pytest.fixture
+def console(ground: Field) -> Iterator[Field]:
+    """Vehicles on the ground, and a daemon with [shell]."""
+    ground.restart_daemon(ground.toml() + "\n[shell]\n")
+    yield ground
+    ground.restart_daemon(ground.toml())
+
+
+@pytest.fixture
 def air(field: Field) -> Iterator[Field]:
     """All at `HEIGHT_M` above their places, holding."""
     field.relay.clear()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -40,14 +39,6 @@ NEAR: dict[str, dict[str, float]] = {
 
 ESTIMATES = ("ESTIMATOR_STATUS", "ALTITUDE", "GPS_RAW_INT", "SYS_STATUS", "EXTENDED_SYS_STATE", "GPS_GLOBAL_ORIGIN")
 """Messages that complete others, so they are converted first."""
-
-
-@pytest.fixture
-def console(ground: Field) -> Iterator[Field]:
-    """Vehicles on the ground, and a daemon with [shell]."""
-    ground.restart_daemon(ground.toml() + "\n[shell]\n")
-    yield ground
-    ground.restart_daemon(ground.toml())
 
 
 def listed(field: Field, topic: str) -> dict[str, list[float]]:

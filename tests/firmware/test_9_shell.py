@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -16,14 +15,6 @@ from support.firmware_field import Field
 pytestmark = pytest.mark.only("px4")
 
 CLI_S = 120.0
-
-
-@pytest.fixture
-def console(ground: Field) -> Iterator[Field]:
-    """Vehicles on the ground, and a daemon with [shell]."""
-    ground.restart_daemon(ground.toml() + "\n[shell]\n")
-    yield ground
-    ground.restart_daemon(ground.toml())
 
 
 def typed(field: Field, *words: str, name: str = "") -> Any:

@@ -20,7 +20,7 @@ from skygcs.sim.vehicle import SimVehicle
 from support.called import call
 from support.daemons import made_daemon, simulated_link, started
 from support.examples import covered_by_other_flights
-from support.flown import flown
+from support.flown import Ordering, flown
 
 pytestmark = pytest.mark.looptime
 
@@ -30,7 +30,7 @@ def with_drills(config: FleetConfig) -> FleetConfig:
     return config.model_copy(update={"extensions": {"drills": DrillsConfig()}})
 
 
-class Station:
+class Station(Ordering):
     """A daemon that simulates vehicles: PX4s first."""
 
     def __init__(self, daemon: Daemon) -> None:
@@ -38,12 +38,8 @@ class Station:
         self.events: list[dict[str, Any]] = []
         daemon.event_log.subscribe(self.events.append)
 
-    async def __call__(self, method: str, /, **params: Any) -> Any:
-        return await call(self.daemon, method, **params)
-
-    async def outcome(self, method: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
-        (outcome,) = (await self(method, targets=targets, **params))["outcomes"].values()
-        return dict(outcome)
+    async def __call__(self, method_name: str, /, **params: Any) -> Any:
+        return await call(self.daemon, method_name, **params)
 
     def sim(self, name: str = "v1") -> SimVehicle:
         link = simulated_link(self.daemon, "sim")

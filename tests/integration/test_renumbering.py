@@ -17,10 +17,9 @@ from skygcs.daemon import Daemon
 from skygcs.runtime.renumbering import HEARD_S, RETURN_S
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
-from skygcs.sim.vehicle_group import make_vehicles
-from support.daemons import memory_link
 from support.examples import covered_by_other_flights
-from support.flown import FIELD, Flown
+from support.flown import Flown
+from support.grounded import grounded
 
 pytestmark = pytest.mark.looptime
 
@@ -51,24 +50,8 @@ async def fielded(tmp_path: Path, **own: Any) -> AsyncIterator[Flown]:
         }
     )
     daemon = Daemon(config, load_dialect(config.dialect), source=str(file))
-    sims = make_vehicles(
-        load_dialect("ardupilotmega"), px4=1, ardupilot=1, first_sysid=1, home=FIELD, now=daemon.now(), unix_us=1
-    )
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    air = memory_link(daemon, "air")
-    gcs = Flown(daemon, sims, air)
-    living = asyncio.create_task(gcs.live())
-    try:
-        await gcs.until(lambda: len(daemon.fleet.vehicles) == 2)
-        await asyncio.sleep(12)
+    async with grounded(daemon, settle_s=12.0) as gcs:
         yield gcs
-        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
-    finally:
-        living.cancel()
-        await asyncio.gather(living, return_exceptions=True)
-        daemon.stop()
-        await running
 
 
 async def renumber(gcs: Flown, target: str, sysid: int, **more: Any) -> dict[str, Any]:

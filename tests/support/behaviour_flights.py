@@ -5,6 +5,7 @@ Each flight begins with a vehicle that is disarmed on the ground and ready, and 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import hypot, nan
 from typing import Any
 
@@ -128,6 +129,34 @@ def end(rig: Rig) -> None:
     rig.set_mode(PX4_LOITER if rig.px4 else GUIDED)
 
 
+def go_out(rig: Rig) -> None:
+    """15 m north, and rest there."""
+    go(rig, 0, 15, HEIGHT_M)
+    rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
+    rig.run(2)
+
+
+def begin_stream(rig: Rig) -> None:
+    """Let setpoints come; a PX4 has to be told that it is to follow them."""
+    rig.run(0.3)
+    if rig.px4:
+        assert rig.set_mode(PX4_OFFBOARD) == 0
+
+
+def set_params(rig: Rig, px4: Mapping[str, float], copter: Mapping[str, float]) -> None:
+    """Those of this firmware, in their order; an int is an integer parameter of a PX4."""
+    for name, value in (px4 if rig.px4 else copter).items():
+        rig.set_param(name, value, integer=rig.px4 and isinstance(value, int))
+
+
+def modes_since(rig: Rig, since: float, after: str = "after s") -> Figures:
+    """The modes it went through, and when it changed into each."""
+    return {
+        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
+        after: [round(t - since, 1) for t, _ in rig.modes if t >= since],
+    }
+
+
 def drift_m(track: list[Sample], a: Sample) -> float:
     return max((hypot(s.east_m - a.east_m, s.north_m - a.north_m) for s in track), default=0.0)
 
@@ -187,9 +216,7 @@ def velocity_then_silence(rig: Rig) -> Figures:
     """3 m/s north for 5 s at 10 Hz, then nothing."""
     take_off(rig)
     rig.stream = lambda t: local_target(rig, VELOCITY_MASK, vel=(0, 3, 0))
-    rig.run(0.3)
-    if rig.px4:
-        assert rig.set_mode(PX4_OFFBOARD) == 0
+    begin_stream(rig)
     rig.run(5)
     reached = rig.here.vel_mps
     rig.stream = None
@@ -201,8 +228,7 @@ def velocity_then_silence(rig: Rig) -> Figures:
         "speed": round(reached, 1),
         "stood after s": stood and round(stood, 1),
         "went m": round(drift_m(later, from_), 1),
-        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
-        "mode after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        **modes_since(rig, since, "mode after s"),
         "sank m": round(from_.up_m - rig.here.up_m, 1),
     }
     end(rig)
@@ -221,9 +247,7 @@ def position_and_velocity(rig: Rig) -> Figures:
             return local_target(rig, mask, pos=where, vel=(0, 2, 0))
 
         rig.stream = target
-        rig.run(0.3)
-        if rig.px4:
-            assert rig.set_mode(PX4_OFFBOARD) == 0
+        begin_stream(rig)
         rig.run(8)
         figures[f"behind {name} m"] = round(north + 2 * (rig.now - begin) - rig.here.north_m, 1)
         figures[f"speed {name}"] = round(rig.here.vel_mps, 1)
@@ -240,9 +264,7 @@ def attitude_then_silence(rig: Rig) -> Figures:
     q = [cos(tilt / 2), 0.0, sin(tilt / 2), 0.0]
     hover = 0.5
     rig.stream = lambda t: mav.MAVLink_set_attitude_target_message(0, rig.sysid, 1, 7, q, 0, 0, 0, hover)
-    rig.run(0.3)
-    if rig.px4:
-        assert rig.set_mode(PX4_OFFBOARD) == 0
+    begin_stream(rig)
     rig.run(2)
     rig.stream = None
     since = rig.now
@@ -252,8 +274,7 @@ def attitude_then_silence(rig: Rig) -> Figures:
     rig.run(4)
     figures = {
         "level after s": level and round(level + 0.2, 1),
-        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
-        "mode after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        **modes_since(rig, since, "mode after s"),
     }
     end(rig)
     return figures
@@ -281,62 +302,38 @@ def offboard_entry(rig: Rig) -> Figures:
 
 
 def ground_station_lost(rig: Rig) -> Figures:
-    if rig.px4:
-        rig.set_param("NAV_DLL_ACT", 2, integer=True)
-    else:
-        rig.set_param("FS_GCS_ENABLE", 1)
+    set_params(rig, {"NAV_DLL_ACT": 2}, {"FS_GCS_ENABLE": 1})
     take_off(rig)
-    go(rig, 0, 15, HEIGHT_M)
-    rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
-    rig.run(2)
+    go_out(rig)
     rig.silent = True
     since = rig.now
     rig.run(22)
     rig.silent = False
     figures = {
-        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
-        "after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        **modes_since(rig, since),
         "texts": [t for t in rig.texts[-8:]],
     }
     rig.run(3)
     figures["back again"] = hex(rig.mode) if rig.px4 else rig.mode
     end(rig)
-    if rig.px4:
-        rig.set_param("NAV_DLL_ACT", 0, integer=True)
-    else:
-        rig.set_param("FS_GCS_ENABLE", 0)
+    set_params(rig, {"NAV_DLL_ACT": 0}, {"FS_GCS_ENABLE": 0})
     return figures
 
 
 def battery_critical(rig: Rig) -> Figures:
     """The threshold is set above the charge, in flight."""
-    if rig.px4:
-        rig.set_param("COM_LOW_BAT_ACT", 3, integer=True)
-    else:
-        rig.set_param("BATT_FS_LOW_ACT", 2)
+    set_params(rig, {"COM_LOW_BAT_ACT": 3}, {"BATT_FS_LOW_ACT": 2})
     take_off(rig)
-    go(rig, 0, 15, HEIGHT_M)
-    rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
-    rig.run(2)
+    go_out(rig)
     since, heard = rig.now, len(rig.texts)
-    if rig.px4:
-        rig.set_param("BAT_LOW_THR", 0.9999)
-        rig.set_param("BAT_CRIT_THR", 0.999)
-    else:
-        rig.set_param("BATT_LOW_MAH", 100000)
+    set_params(rig, {"BAT_LOW_THR": 0.9999, "BAT_CRIT_THR": 0.999}, {"BATT_LOW_MAH": 100000})
     rig.run(20)
     figures = {
-        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
-        "after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        **modes_since(rig, since),
         "texts": rig.texts[heard:],
     }
-    if rig.px4:
-        rig.set_param("BAT_CRIT_THR", 0.07)
-        rig.set_param("BAT_LOW_THR", 0.15)
-        rig.set_param("COM_LOW_BAT_ACT", 0, integer=True)
-    else:
-        rig.set_param("BATT_LOW_MAH", 0)
-        rig.set_param("BATT_FS_LOW_ACT", 0)
+    usual = {"BAT_CRIT_THR": 0.07, "BAT_LOW_THR": 0.15, "COM_LOW_BAT_ACT": 0}
+    set_params(rig, usual, {"BATT_LOW_MAH": 0, "BATT_FS_LOW_ACT": 0})
     end(rig)
     return figures
 
@@ -348,8 +345,7 @@ def gps_lost(rig: Rig) -> Figures:
     rig.gps(there=False)
     rig.run(25)
     figures = {
-        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
-        "after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        **modes_since(rig, since),
         "sank m": round(up - rig.here.up_m, 1),
         "armed": rig.armed,
         "texts": rig.texts[heard:],
@@ -362,11 +358,7 @@ def gps_lost(rig: Rig) -> Figures:
 
 
 def beyond_the_fence(rig: Rig) -> Figures:
-    if rig.px4:
-        rig.set_param("GF_MAX_HOR_DIST", 20.0)
-    else:
-        rig.set_param("FENCE_RADIUS", 20.0)
-        rig.set_param("FENCE_ENABLE", 1)
+    set_params(rig, {"GF_MAX_HOR_DIST": 20.0}, {"FENCE_RADIUS": 20.0, "FENCE_ENABLE": 1})
     figures: Figures = {}
     take_off(rig)
     since, heard = rig.now, len(rig.texts)
@@ -374,9 +366,8 @@ def beyond_the_fence(rig: Rig) -> Figures:
     rig.run(3)
     figures["goto flown m"] = round(rig.here.north_m, 1)
     rig.stream = lambda t: local_target(rig, VELOCITY_MASK, vel=(0, 3, 0))
-    rig.run(0.3)
+    begin_stream(rig)
     if rig.px4:
-        assert rig.set_mode(PX4_OFFBOARD) == 0
         rig.wait(lambda: rig.mode == PX4_OFFBOARD, 3, "it is in OFFBOARD")
     first = len(rig.modes)
     rig.wait(lambda: rig.here.north_m > 20 or len(rig.modes) > first, 20)
@@ -387,10 +378,7 @@ def beyond_the_fence(rig: Rig) -> Figures:
     rig.run(12)
     figures["most m"] = round(max(s.north_m for s in rig.track if s.t_s > since), 1)
     figures["texts"] = rig.texts[heard:]
-    if rig.px4:
-        rig.set_param("GF_MAX_HOR_DIST", 0.0)
-    else:
-        rig.set_param("FENCE_ENABLE", 0)
+    set_params(rig, {"GF_MAX_HOR_DIST": 0.0}, {"FENCE_ENABLE": 0})
     end(rig)
     return figures
 

@@ -36,7 +36,7 @@ from skygcs.links.memory import MemoryLink
 from skygcs.rpc.dispatch import REFUSED
 from support.called import call
 from support.daemons import memory_link
-from support.flown import FIELD, Flown, Told, aloft, let_its_disk_finish
+from support.flown import FIELD, Flown, Ordering, Told, aloft, let_its_disk_finish
 
 
 class CallsByMemory:
@@ -49,8 +49,6 @@ class CallsByMemory:
         self.delay_s = delay_s
         self.loss = loss
         self.up = True
-        self.skew_s = 0.0
-        """Added by the companion's clock; the vehicle's times stay the loop's."""
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.served: list[asyncio.Task[Any]] = []
         self.lose: Callable[[str, dict[str, Any]], bool] = lambda method, params: False
@@ -102,7 +100,7 @@ class CallsByMemory:
 
 
 @dataclass
-class Pair:
+class Pair(Ordering):
     """``pi`` is the companion and its vehicle; ``pair(method, …)`` asks the ground."""
 
     pi: Flown
@@ -124,14 +122,6 @@ class Pair:
 
     async def __call__(self, method_name: str, /, **params: Any) -> Any:
         return await call(self.ground, method_name, **params)
-
-    async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
-        (outcome,) = (await self(name, targets=targets, **params))["outcomes"].values()
-        return dict(outcome)
-
-    async def done(self, name: str, targets: str = "v1", **params: Any) -> None:
-        outcomes = (await self(name, targets=targets, **params))["outcomes"]
-        assert all(o["ok"] for o in outcomes.values()), outcomes
 
     def control(self) -> dict[str, Any]:
         """As the ground shows it."""

@@ -105,10 +105,7 @@ class ControlledVehicle(FakeVehicle):
         if self.aloud:
             print(self.name, word, flush=True)
 
-    async def control(self, *, mode: str, force: bool = False) -> FakeOutcome:
-        return await self._order("control", mode=mode, force=force)
-
-    async def change_gains(self, *, changes: dict[str, Any], force: bool = False) -> FakeOutcome:
+    async def change_gains(self, *, changes: dict[str, Any], force: bool) -> FakeOutcome:
         outcome = await self._order("change_gains", changes=changes, force=force)
         if outcome.ok:
             for key, value in changes.items():

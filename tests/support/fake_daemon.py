@@ -6,6 +6,7 @@ As a process, for the command line: python -m support.fake_daemon SOCKET [NUMBER
 from __future__ import annotations
 
 import asyncio
+import inspect
 import json
 import math
 import sys
@@ -123,6 +124,11 @@ class FakeVehicle:
         clock = SimpleNamespace(ticks=0, lateness_p99_s=lambda: None)
         self.offboard = SimpleNamespace(tracking=TrackingRecord(), clock=clock)
 
+    async def given(self, order: str, **arguments: Any) -> FakeOutcome:
+        """The outcome of an order by its name: by a method of this name, where it has one."""
+        own: Callable[..., Awaitable[FakeOutcome]] | None = getattr(self, order, None)
+        return await (self._order(order, **arguments) if own is None else own(**arguments))
+
     async def _order(self, order: str, **arguments: Any) -> FakeOutcome:
         self.orders.append((order, arguments))
         try:
@@ -137,61 +143,14 @@ class FakeVehicle:
             self.armed = order == "arm"
         return self.outcome
 
-    async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> FakeOutcome:
-        return await self._order("arm", force=force, wait_s=wait_s)
-
-    async def disarm(self, *, force: bool = False) -> FakeOutcome:
-        return await self._order("disarm", force=force)
-
     async def set_mode(self, name: str, *, force: bool) -> FakeOutcome:
         if name == "NONSENSE":
             return FakeOutcome(False, "refused", f"refused: {self.autopilot} has no mode NONSENSE", attempts=0)
         self.mode = name
         return await self._order("set_mode", name=name, force=force)
 
-    async def takeoff(
-        self, height_m: float | None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
-    ) -> FakeOutcome:
-        return await self._order("takeoff", height_m=height_m, arm=arm, wait_s=wait_s, force=force)
-
-    async def land(self) -> FakeOutcome:
-        return await self._order("land")
-
-    async def rtl(self) -> FakeOutcome:
-        return await self._order("rtl")
-
     async def hold(self, *, instead_of: int | None = None) -> FakeOutcome:
         return await self._order("hold", **({} if instead_of is None else {"instead_of": instead_of}))
-
-    async def stop(self, *, action: str) -> FakeOutcome:
-        return await self._order("stop", action=action)
-
-    async def goto(self, **place: Any) -> FakeOutcome:
-        return await self._order("goto", **place)
-
-    async def reboot(self, *, force: bool = False) -> FakeOutcome:
-        return await self._order("reboot", force=force)
-
-    async def set_home(self, **place: Any) -> FakeOutcome:
-        return await self._order("set_home", **place)
-
-    async def set_message_interval(self, message: str | int, rate_hz: float) -> FakeOutcome:
-        return await self._order("set_message_interval", message=message, rate_hz=rate_hz)
-
-    async def request_message(self, message: str | int) -> FakeOutcome:
-        return await self._order("request_message", message=message)
-
-    async def request_stream(self, stream: int | str, rate_hz: float) -> FakeOutcome:
-        return await self._order("request_stream", stream=stream, rate_hz=rate_hz)
-
-    async def command(self, command: str | int, params: Sequence[float | None], **rest: Any) -> FakeOutcome:
-        return await self._order("command", command=command, params=list(params), **rest)
-
-    async def upload_plan(self, **arguments: Any) -> FakeOutcome:
-        return await self._order("upload_plan", **arguments)
-
-    async def clear_plan(self, **arguments: Any) -> FakeOutcome:
-        return await self._order("clear_plan", **arguments)
 
     async def set_fence(self, **arguments: Any) -> FakeOutcome:
         return self._fenced(await self._order("set_fence", **arguments))
@@ -205,15 +164,6 @@ class FakeVehicle:
 
     def _fenced(self, outcome: FakeOutcome) -> FakeOutcome:
         return replace(outcome, more={"fence": self.fence if outcome.ok else None, "record": None})
-
-    async def start_mission(self, **arguments: Any) -> FakeOutcome:
-        return await self._order("start_mission", **arguments)
-
-    async def resume_mission(self, **arguments: Any) -> FakeOutcome:
-        return await self._order("resume_mission", **arguments)
-
-    async def set_mission_item(self, **arguments: Any) -> FakeOutcome:
-        return await self._order("set_mission_item", **arguments)
 
     def authority_refusal(self) -> str | None:
         return None
@@ -557,6 +507,9 @@ class FakeFleet:
         self, targets: str | list[str], order: Order, /, *, reports: Reports | None = None, **arguments: Any
     ) -> dict[str, FakeOutcome]:
         vehicles, name = self.resolve(targets), order.__name__
+        inspect.signature(order).bind(
+            None, **{k: v for k, v in arguments.items() if k not in ("confirm", "arrangement")}
+        )
         if name == "disarm":
             arguments.pop("confirm", None)
         if name == "stop":
@@ -565,7 +518,7 @@ class FakeFleet:
         reports.begun([v.name for v in vehicles])
 
         async def reported(vehicle: FakeVehicle) -> FakeOutcome:
-            outcome: FakeOutcome = await getattr(vehicle, name)(**arguments)
+            outcome = await vehicle.given(name, **arguments)
             reports.ended(vehicle.name, outcome)
             return outcome
 

@@ -64,6 +64,11 @@ OTHERS = ("px4_plane", "px4_vtol", "ardupilot_plane", "quadplane", "rover")
 FLOWN = ("px4", "ardupilot", *OTHERS)
 
 
+def link_table(name: str, port: int, kind: str = "udp_server", role: str = "gcs") -> str:
+    """A link of the fleet file, on loopback."""
+    return f'[links.{name}]\ntype = "{kind}"\nhost = "127.0.0.1"\nport = {port}\nrole = "{role}"'
+
+
 class Watcher(threading.Thread):
     """Events and telemetry of the daemon, kept with the time at which they came; connects again and again."""
 
@@ -193,6 +198,7 @@ class Field:
     def toml(self, *, link: str = "", control: str = "") -> str:
         autopilot = "px4" if self.px4 else "ardupilot"
         expected = {"px4": "RTL_RETURN_ALT = 25", "ardupilot": "FENCE_MARGIN = 2"}.get(self.firmware, "")
+        bound = f'vehicles = ["{self.one}"]\ntranslated_sysid = 1'
         text = f"""
 record_max_mb = 500
 
@@ -201,42 +207,15 @@ lat_deg = {HOME[0]}
 lon_deg = {HOME[1]}
 alt_amsl_m = {HOME[2]}
 
-[links.vehicles]
-type = "udp_server"
-host = "127.0.0.1"
-port = {self.daemon_port}
-role = "vehicle"
+{link_table("vehicles", self.daemon_port, role="vehicle")}
 {link}
-[links.gcs]
-type = "udp_server"
-host = "127.0.0.1"
-port = {self.gcs_port}
-role = "gcs"
-
-[links.bound]
-type = "udp_server"
-host = "127.0.0.1"
-port = {self.bound_port}
-role = "gcs"
-vehicles = ["{self.one}"]
-translated_sysid = 1
-
-[links.bound_tcp]
-type = "tcp_server"
-host = "127.0.0.1"
-port = {self.bound_tcp_port}
-role = "gcs"
-vehicles = ["{self.one}"]
-translated_sysid = 1
-
-[links.bound_out]
-type = "udp_client"
-host = "127.0.0.1"
-port = {self.program_port}
-role = "gcs"
-vehicles = ["{self.one}"]
-translated_sysid = 1
-
+{link_table("gcs", self.gcs_port)}
+{link_table("bound", self.bound_port)}
+{bound}
+{link_table("bound_tcp", self.bound_tcp_port, "tcp_server")}
+{bound}
+{link_table("bound_out", self.program_port, "udp_client")}
+{bound}
 [defaults.control]
 fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
 {control}
@@ -564,11 +543,7 @@ alt_amsl_m = {HOME[2]}
 
 [formation]
 
-[links.vehicles]
-type = "udp_server"
-host = "127.0.0.1"
-port = {self.daemon_port}
-role = "vehicle"
+{link_table("vehicles", self.daemon_port, role="vehicle")}
 
 [defaults.control]
 fence = {{ x_m = [-40, 60], y_m = [-40, 60], up_m = [0, 60] }}

@@ -105,8 +105,24 @@ class Truth:
     landed: bool
 
 
+class Ordering:
+    """Gives orders to a daemon, which it calls as ``await self(method, **params)``."""
+
+    async def __call__(self, method_name: str, /, **params: Any) -> Any:
+        raise NotImplementedError
+
+    async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
+        """Of an order to one vehicle."""
+        (outcome,) = (await self(name, targets=targets, **params))["outcomes"].values()
+        return dict(outcome)
+
+    async def done(self, name: str, targets: str = "v1", **params: Any) -> None:
+        outcomes = (await self(name, targets=targets, **params))["outcomes"]
+        assert all(o["ok"] for o in outcomes.values()), outcomes
+
+
 @dataclass
-class Flown:
+class Flown(Ordering):
     """``gcs(method, **params)`` asks as a session does, without a socket: its waiting has no place in virtual time."""
 
     daemon: Daemon
@@ -158,15 +174,6 @@ class Flown:
     async def __call__(self, method_name: str, /, **params: Any) -> Any:
         self.daemon.operator_watchdog.on_client()
         return await call(self.daemon, method_name, **params)
-
-    async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
-        """Of an order to one vehicle."""
-        (outcome,) = (await self(name, targets=targets, **params))["outcomes"].values()
-        return dict(outcome)
-
-    async def done(self, name: str, targets: str = "v1", **params: Any) -> None:
-        outcomes = (await self(name, targets=targets, **params))["outcomes"]
-        assert all(o["ok"] for o in outcomes.values()), outcomes
 
     async def fly(self, mode: str, targets: str = "v1") -> None:
         """Control in this way, and no other."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import heapq
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -80,22 +80,19 @@ class FtpWire(Delays):
         self.carry(exchange, exchange.start(self.now))
         while not exchange.done:
             due = exchange.deadline
-            if min(due, self._queue[0][0] if self._queue else due) > end:
+            if self.arrive_by(min(due, end)):
+                continue
+            if due > end:
                 self.now = end
                 return None
-            if self._queue and self._queue[0][0] <= due:
-                self.now, _, call = heapq.heappop(self._queue)
-                call()
-            else:
-                self.now = max(self.now, due)
-                self.carry(exchange, exchange.on_timer(self.now))
+            self.now = max(self.now, due)
+            self.carry(exchange, exchange.on_timer(self.now))
         return exchange.outcome
 
     def drain(self) -> None:
         """Let everything arrive that is still on its way."""
-        while self._queue:
-            self.now, _, call = heapq.heappop(self._queue)
-            call()
+        while self.arrive_by(math.inf):
+            pass
 
     def carry(self, exchange: Any, effects: tuple[Effect, ...]) -> None:
         for effect in effects:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
+from skygcs.daemon import Daemon
 from skygcs.sim.vehicle_group import make_vehicles
 from support.daemons import made_daemon, memory_link
 from support.flown import FIELD, Flown
@@ -21,7 +22,13 @@ async def on_the_ground(
     """A PX4 and an ArduCopter, ready to arm; ``link``: the faults of the memory link, both ways; ``extensions``: their
     tables."""
     links = {"air": {"type": "memory", "role": "radio", **{"seed": 7, **link}}}
-    daemon = made_daemon(tmp_path, extensions or {}, links=links)
+    async with grounded(made_daemon(tmp_path, extensions or {}, links=links), settle_s=15.0) as gcs:
+        yield gcs
+
+
+@contextlib.asynccontextmanager
+async def grounded(daemon: Daemon, *, settle_s: float) -> AsyncIterator[Flown]:
+    """The same with a daemon that is made already, whose memory link is "air"."""
     sims = make_vehicles(
         load_dialect("ardupilotmega"),
         px4=1,
@@ -33,13 +40,12 @@ async def on_the_ground(
     )
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    air = memory_link(daemon, "air")
-    gcs = Flown(daemon, sims, air)
+    gcs = Flown(daemon, sims, memory_link(daemon, "air"))
     living = asyncio.create_task(gcs.live())
     gcs.running = running
     try:
         await gcs.until(lambda: len(daemon.fleet.vehicles) == 2)
-        await asyncio.sleep(15)
+        await asyncio.sleep(settle_s)
         yield gcs
         assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
     finally:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-from types import TracebackType
 from typing import Self
 
 from support.memory_hub import Faults
@@ -38,9 +37,7 @@ class HubProxy:
         self.url = f"nats://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         assert self._server is not None
         self._server.close()
         self.reset()

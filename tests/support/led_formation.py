@@ -10,13 +10,13 @@ from pathlib import Path
 from skygcs.config.models import FleetConfig
 from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M
 from skygcs.ext.formation.config import FormationConfig
-from skygcs.sim.conditions import Conditions
 from support.flown import flown
 from support.planned import least_distance
 
 FENCE = {"x_m": (-200.0, 200.0), "y_m": (-200.0, 200.0), "up_m": (0.0, 60.0)}
 SQUARE = ((60.0, 0.0, 20.0), (60.0, 60.0, 25.0), (0.0, 60.0, 20.0), (0.0, 0.0, 20.0))
 LOOK_S = 0.5
+SPEED_MPS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,26 +30,16 @@ class Led:
     reason: str
 
 
-async def led_formation(
-    tmp_path: Path, *, px4: int = 5, ardupilot: int = 5, speed_mps: float = 3.0, wind_mps: float = 0.0
-) -> Led:
-    """Fly it."""
-    table = FormationConfig(speed_mps=speed_mps)
+async def led_formation(tmp_path: Path) -> Led:
+    """Fly it, in calm air."""
+    table = FormationConfig(speed_mps=SPEED_MPS)
 
     def prepared(config: FleetConfig) -> FleetConfig:
         return config.model_copy(update={"extensions": {"formation": table}})
 
-    names = [f"v{i + 1}" for i in range(px4 + ardupilot)]
-    conditions = Conditions(wind_enu_mps=(wind_mps, 0.0, 0.0))
-    async with flown(
-        tmp_path,
-        px4=px4,
-        ardupilot=ardupilot,
-        height_m=20.0,
-        control={"fence": FENCE},
-        conditions=conditions,
-        prepared=prepared,
-    ) as gcs:
+    names = [f"v{i + 1}" for i in range(10)]
+    control = {"fence": FENCE}
+    async with flown(tmp_path, px4=5, ardupilot=5, height_m=20.0, control=control, prepared=prepared) as gcs:
         extension = gcs.daemon.extensions["formation"]
         began = gcs.now
         await gcs("formation.start", targets=names, shape="v", spacing_m=9.0)
@@ -61,7 +51,7 @@ async def led_formation(
             while not extension.status()["settled"]:
                 state = extension.status()
                 if state["state"] != "flying":
-                    return Led(speed_mps, math.inf, 0.0, 0.0, state["reason"])
+                    return Led(SPEED_MPS, math.inf, 0.0, 0.0, state["reason"])
                 if math.hypot(*state["vel_enu_mps"]) > 0.3:
                     squares += [
                         math.dist(gcs.place(member["vehicle"]), member["place_enu_m"]) ** 2
@@ -69,4 +59,4 @@ async def led_formation(
                     ]
                 await asyncio.sleep(LOOK_S)
         least_m, _, _ = least_distance(gcs, began)
-    return Led(speed_mps, math.sqrt(math.fsum(squares) / len(squares)), least_m, WINGSPAN_M + 2 * POSITION_ERROR_M, "")
+    return Led(SPEED_MPS, math.sqrt(math.fsum(squares) / len(squares)), least_m, WINGSPAN_M + 2 * POSITION_ERROR_M, "")

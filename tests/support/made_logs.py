@@ -83,10 +83,10 @@ class MadeLog:
         self._put_down(raw)
         return raw
 
-    def put_unknown(self, sysid: int = 1, compid: int = 1) -> None:
+    def put_unknown(self) -> None:
         """A frame of a message that no dialect has."""
         payload = bytes(range(1, 21))
-        ids = (self._next_seq(sysid, compid), sysid, compid, UNKNOWN_ID & 0xFFFF, UNKNOWN_ID >> 16)
+        ids = (self._next_seq(1, 1), 1, 1, UNKNOWN_ID & 0xFFFF, UNKNOWN_ID >> 16)
         self._put_down(_HEADER.pack(0xFD, len(payload), 0, 0, *ids) + payload + b"\x12\x34")
         self._types[f"UNKNOWN_{UNKNOWN_ID}"] += 1
         self._status["unknown"] += 1
@@ -189,6 +189,22 @@ def _ground_station(log: MadeLog, v1: bool = False) -> None:
     log.put(mavlink.MAVLink_heartbeat_message(GCS, INVALID, 0, 0, 4, 3), 255, 190, v1=v1)
 
 
+def _flown(
+    seconds: int,
+    extra: Callable[[MadeLog, int], object] = lambda log, tenth: None,
+    *,
+    autopilot: int = ARDUPILOT,
+    v1: bool = False,
+    kind: str = TLOG,
+) -> MadeLog:
+    """The first seconds of a flight; ``extra`` is called in each tenth of each."""
+    log = MadeLog(kind)
+    flight = Flight(log, autopilot, v1=v1)
+    for n in range(seconds):
+        flight.second(n, functools.partial(extra, log))
+    return log
+
+
 def v1_and_v2_mixed() -> MadeLog:
     """A SiK radio, a v1 ground station, an ADS-B receiver under the vehicle's id, frames lost on the way."""
     log = MadeLog()
@@ -208,42 +224,27 @@ def v1_and_v2_mixed() -> MadeLog:
 
 
 def mavlink_1_only() -> MadeLog:
-    log = MadeLog()
-    flight = Flight(log, v1=True)
-    for n in range(30):
-        flight.second(n, lambda tenth: _ground_station(log, v1=True) if tenth == 3 else None)
-    return log
+    return _flown(30, lambda log, tenth: tenth == 3 and _ground_station(log, v1=True), v1=True)
 
 
 def re_trimmed_with_the_senders_checksum() -> MadeLog:
     """QGroundControl's recording of components that do not trim."""
-    log = MadeLog()
-    flight = Flight(log, PX4)
     distance = mavlink.MAVLink_distance_sensor_message(1000, 20, 4000, 300, 0, 1, 25, 0)
 
-    def extra(tenth: int) -> None:
+    def extra(log: MadeLog, tenth: int) -> None:
         log.put(distance, 1, 194, retrimmed=True)
         if tenth == 2:
             _ground_station(log)
 
-    for n in range(30):
-        flight.second(n, extra)
-    return log
+    return _flown(30, extra, autopilot=PX4)
 
 
 def unknown_ids() -> MadeLog:
-    log = MadeLog()
-    flight = Flight(log)
-    for n in range(20):
-        flight.second(n, lambda tenth: log.put_unknown() if tenth in (2, 8) else None)
-    return log
+    return _flown(20, lambda log, tenth: tenth in (2, 8) and log.put_unknown())
 
 
 def cut_off_at_the_end() -> MadeLog:
-    log = MadeLog()
-    flight = Flight(log)
-    for n in range(10):
-        flight.second(n)
+    log = _flown(10)
     log.put_junk((log.now_us.to_bytes(8, "big") + b"cut")[:11])
     return log
 
@@ -263,28 +264,20 @@ def clocks_that_step() -> MadeLog:
 
 def flood_of_heartbeats() -> MadeLog:
     """A program under an id of its own sends MAVLink 1 heartbeats, type GENERIC, autopilot INVALID, at 100 Hz."""
-    log = MadeLog()
-    flight = Flight(log)
     flood = mavlink.MAVLink_heartbeat_message(GENERIC, INVALID, 0, 0, 3, 3)
 
-    def extra(tenth: int) -> None:
+    def extra(log: MadeLog, tenth: int) -> None:
         for _ in range(10):
             log.put(flood, 2, 2, v1=True)
         if tenth == 0:
             _ground_station(log)
 
-    for n in range(15):
-        flight.second(n, extra)
-    return log
+    return _flown(15, extra)
 
 
 def signed_by_the_ground_station() -> MadeLog:
-    log = MadeLog()
-    flight = Flight(log, PX4)
     text = mavlink.MAVLink_statustext_message(6, b"Mission Planner 1.3.80")
-    for n in range(10):
-        flight.second(n, lambda tenth: log.put(text, 255, 190, sign=True) if tenth == 4 else None)
-    return log
+    return _flown(10, lambda log, tenth: tenth == 4 and log.put(text, 255, 190, sign=True), autopilot=PX4)
 
 
 def plane() -> MadeLog:
@@ -363,28 +356,20 @@ def everything_a_vehicle_says() -> MadeLog:
 
 def serial_line_with_losses() -> MadeLog:
     """Bytes as they came from a serial line: noise between frames, and frames that lost their first bytes."""
-    log = MadeLog(RAW)
-    flight = Flight(log)
     rng = random.Random(5)
 
-    def extra(tenth: int) -> None:
+    def extra(log: MadeLog, tenth: int) -> None:
         if tenth == 4:
             log.put_junk(rng.randbytes(rng.randrange(1, 60)))
         if tenth == 8:
             log.lose()
             log.put(mavlink.MAVLink_radio_status_message(120, 110, 90, 30, 28, 0, 0), 51, 68, v1=True)
 
-    for n in range(40):
-        flight.second(n, extra)
-    return log
+    return _flown(40, extra, kind=RAW)
 
 
 def serial_line_without_noise() -> MadeLog:
-    log = MadeLog(RAW)
-    flight = Flight(log, PX4)
-    for n in range(20):
-        flight.second(n)
-    return log
+    return _flown(20, autopilot=PX4, kind=RAW)
 
 
 MADE: dict[str, Callable[[], MadeLog]] = {

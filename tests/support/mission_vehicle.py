@@ -7,7 +7,6 @@ written here from the two autopilots' documented behaviour.
 from __future__ import annotations
 
 import heapq
-import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,6 +17,7 @@ from skygcs.core.mission.item import MissionItem
 from skygcs.core.protocols.base import Effect, ProgressReport, Send
 from skygcs.core.protocols.mission import ANSWERS, MissionProtocol
 from support.frames import dialect
+from support.param_vehicle import Delays, Network
 
 Reply = tuple[str, dict[str, Any], int]
 """(message, fields, opaque id, which pymavlink's dialects lack)."""
@@ -210,34 +210,19 @@ class Px4Mission(MissionVehicle):
         return []
 
 
-@dataclass(frozen=True)
-class BadNetwork:
-    """Each way: ``loss`` and ``duplicate`` of frames, each of which takes its own time."""
-
-    loss: float = 0.0
-    duplicate: float = 0.0
-    delay_s: tuple[float, float] = (0.01, 0.01)
-    bytewise: bool = False
-
-
-GOOD = BadNetwork()
 TICK_S = 0.05
 
 
-class MissionRig:
+class MissionRig(Delays):
     """One exchange, one vehicle, the network between them. `run` returns when the exchange is done."""
 
     def __init__(
-        self, exchange: MissionProtocol, vehicle: MissionVehicle, net: BadNetwork = GOOD, seed: int = 1
+        self, exchange: MissionProtocol, vehicle: MissionVehicle, net: Network | None = None, seed: int = 1
     ) -> None:
-        self.exchange, self.vehicle, self.net = exchange, vehicle, net
-        self.now = 100.0
-        self.rng = random.Random(seed)
+        super().__init__(net or Network(), seed)
+        self.exchange, self.vehicle = exchange, vehicle
         self.reports: list[int | None] = []
         self.sent: list[tuple[str, Mapping[str, Any]]] = []
-        self.lossless_after: float | None = None
-        self._wires: list[tuple[float, int, bool, bytes]] = []
-        self._order = 0
         self._parsers = {True: FrameParser(dialect()), False: FrameParser(dialect())}
 
     def run(self, until: Callable[[], bool] | None = None, limit_s: float = 3600.0) -> MissionRig:
@@ -259,9 +244,8 @@ class MissionRig:
     def step(self) -> None:
         self.now += TICK_S
         self.vehicle.now = self.now
-        while self._wires and self._wires[0][0] <= self.now:
-            _, _, up, raw = heapq.heappop(self._wires)
-            self._arrive(raw, up=up)
+        while self._queue and self._queue[0][0] <= self.now:  # answered at the end of the tick
+            heapq.heappop(self._queue)[2]()
         self._reply(self.vehicle.tick())
         deadline = self.exchange.deadline
         if deadline is not None and self.now >= deadline:
@@ -269,7 +253,7 @@ class MissionRig:
 
     def _arrive(self, raw: bytes, *, up: bool) -> None:
         parser = self._parsers[up]
-        pieces = [raw[i : i + 1] for i in range(len(raw))] if self.net.bytewise else [raw]
+        pieces = [raw[i : i + 1] for i in range(len(raw))] if self.network.bytewise else [raw]
         for frame in [f for piece in pieces for f in parser.feed(piece)]:
             if up:
                 self._reply(self.vehicle.hear(frame.name, frame.fields()))
@@ -292,8 +276,4 @@ class MissionRig:
         info = dialect().by_name[message]
         payload = info.pack(fields) + (number.to_bytes(4, "little") if number else b"")
         raw = encode_payload(info, payload, sysid=1, compid=1, seq=0)
-        for _ in range(1 + (self.rng.random() < self.net.duplicate)):
-            if self.rng.random() >= self.net.loss:
-                self._order += 1
-                at = self.now + self.rng.uniform(*self.net.delay_s)
-                heapq.heappush(self._wires, (at, self._order, up, raw))
+        self._through(lambda: self._arrive(raw, up=up))

@@ -13,7 +13,7 @@ from skygcs.links.base import Channel
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.radio_fleet import RadioFleet
 from skygcs.sim.vehicle import SimVehicle
-from support.daemons import made_daemon, simulated_link
+from support.daemons import made_daemon, simulated_link, started
 
 FIELD = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 180.0}
 
@@ -26,8 +26,7 @@ class OnAir:
 
     @property
     def link(self) -> SimulatedVehiclesLink:
-        link = simulated_link(self.daemon, "air")
-        return link
+        return simulated_link(self.daemon, "air")
 
     @property
     def radio(self) -> RadioFleet:
@@ -100,14 +99,8 @@ async def on_air(
     }
     own = {"origin": FIELD, "links": links, "defaults": dict(defaults or {})}
     daemon = made_daemon(tmp_path, **{**own, **(tables or {})})
-    running = asyncio.create_task(daemon.run(), name="the daemon")
-    await daemon.ready.wait()
-    air_ = OnAir(daemon)
-    await air_.until(lambda: air_.link.channels)
-    try:
+    async with started(daemon):
+        air_ = OnAir(daemon)
+        await air_.until(lambda: air_.link.channels)
         yield air_
         assert not air_.events("fault")
-    finally:
-        daemon.stop()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running

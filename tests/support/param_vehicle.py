@@ -76,6 +76,8 @@ class Network:
     loss: float = 0.0
     duplicate: float = 0.0
     delay_s: tuple[float, float] = (0.01, 0.01)
+    bytewise: bool = False
+    """Frames come in pieces; messages that are no frames do not."""
 
 
 class Delays:
@@ -91,6 +93,14 @@ class Delays:
     def at(self, delay_s: float, call: Callable[[], None]) -> None:
         self._serial += 1
         heapq.heappush(self._queue, (self.now + delay_s, self._serial, call))
+
+    def arrive_by(self, at_s: float) -> bool:
+        """Let the first of all that is on its way arrive, if it does by then; True if it did."""
+        if not self._queue or self._queue[0][0] > at_s:
+            return False
+        self.now, _, call = heapq.heappop(self._queue)
+        call()
+        return True
 
     def _through(self, call: Callable[[], None]) -> None:
         for _ in range(2 if self.random.random() < self.network.duplicate else 1):
@@ -112,12 +122,8 @@ class Wire(Delays):
         end = self.now + limit_s
         self._carry(exchange, exchange.start(self.now))
         while not exchange.done:
-            due = exchange.deadline
-            if self._queue and self._queue[0][0] <= due:
-                self.now, _, call = heapq.heappop(self._queue)
-                call()
-            else:
-                self.now = max(self.now, due)
+            if not self.arrive_by(exchange.deadline):
+                self.now = max(self.now, exchange.deadline)
                 self._carry(exchange, exchange.on_timer(self.now))
             assert self.now < end, "it does not come to an end"
         return exchange.outcome

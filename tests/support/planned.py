@@ -14,9 +14,8 @@ from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import MotionLimits
 from skygcs.daemon import Daemon
 from skygcs.ext.plans.planning.planning_queue import PlanningQueue
-from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
-from skygcs.ext.plans.planning.worker import answered
 from support.called import plans_of
+from support.fake_daemon import compute_here
 from support.flown import Flown
 
 Vector = tuple[float, float, float]
@@ -52,11 +51,7 @@ async def inline(work: Callable[..., Any], *arguments: Any) -> Any:
 
 def instant_planning(daemon: Daemon) -> None:
     """Calls in place of the planning processes, for which virtual time does not wait."""
-
-    async def here(request: bytes, on_progress: OnProgress | None, limits: ProcessLimits) -> bytes:
-        return json.dumps(answered(json.loads(request), lambda *_: None)).encode()
-
-    plans_of(daemon).queue = PlanningQueue(asyncio.get_running_loop(), here)
+    plans_of(daemon).queue = PlanningQueue(asyncio.get_running_loop(), compute_here)
     plans_of(daemon).runner.work = inline
 
 

@@ -22,6 +22,14 @@ from support.hanging import HANG_S
 ROOT = Path(__file__).parents[2]
 
 
+FIELD_TOML = """
+[origin]
+lat_deg = 43.7806
+lon_deg = -79.4653
+alt_amsl_m = 180.0
+"""
+"""Where simulated vehicles stand, as the origin of a fleet file."""
+
 PORTS = range(20_000, 30_000)
 """Below the kernel's range for sockets that ask for no port (32768 and up): nobody is given one of them by chance
 between `free_port` and the program that binds it. Known services have theirs elsewhere."""
@@ -70,6 +78,20 @@ def call_socket(path: Path, method: str, **params: Any) -> Any:
     if "error" in answer:
         raise AssertionError(answer["error"])
     return answer["result"]
+
+
+def cli_at(socket: Path, *words: str | Path, code: int = 0) -> str:
+    """What `skygcs-cli` prints, with this socket; it must exit with ``code``."""
+    done = subprocess.run(
+        [Path(sys.executable).with_name("skygcs-cli"), *map(str, words)],
+        env={**os.environ, "SKYGCS_SOCKET": str(socket)},
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        check=False,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
 
 
 class PtyRadio:

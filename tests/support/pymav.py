@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from support.hanging import HANG_S
 
 
-class _Outbox:
+class Outbox:
     """What pymavlink believes is a file."""
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class PymavPeer:
     """Packs as (sysid, compid), parses whatever is handed to `parse`. ``link`` (send/recv) is up to the subclass."""
 
     def __init__(self, sysid: int, compid: int) -> None:
-        self._outbox = _Outbox()
+        self._outbox = Outbox()
         self.mav = mav.MAVLink(self._outbox, srcSystem=sysid, srcComponent=compid)
         self.mav.robust_parsing = True
         self.seen: list[Any] = []

@@ -11,12 +11,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.mavlink.frame import Frame
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
 from support.companion_pair import Pair, companion_pair
-from support.random_flights import HEARTBEAT_AT, Deeds, Judged
-from support.truth_monitor import LOOK_S, TruthMonitor
+from support.random_flights import Deeds, Judged, watch
+from support.truth_monitor import TruthMonitor
 
 FLIGHT_S = 35.0
 
@@ -107,7 +106,7 @@ async def fly_by_companion(tmp_path: Path, seed: int) -> Judged:
         flight: PairFlight
         monitor = TruthMonitor(pair.pi.sims, ids, lambda sysid: len(flight.lost) < 2)
         flight = PairFlight(rng, pair, monitor)
-        looking = asyncio.create_task(_watch(flight), name="the monitor")
+        looking = asyncio.create_task(watch(monitor, pair.pi, lambda _: len(flight.lost) < 2), name="the monitor")
         began = pair.now
         flight.order("control.set", targets="v1", mode="attitude")
         deeds, weights = zip(*DEEDS, strict=True)
@@ -125,26 +124,3 @@ async def fly_by_companion(tmp_path: Path, seed: int) -> Judged:
         return Judged(
             seed, tuple(monitor.breaches), (), monitor.looked, monitor.attended_again, holds, tuple(flight.done)
         )
-
-
-async def _watch(flight: PairFlight) -> None:
-    """Show the monitor each frame and each moment."""
-    monitor, pi = flight.monitor, flight.pair.pi
-    fleet, on_frame, step = pi._fleet, pi._fleet.on_frame, pi._fleet.step
-
-    def arrives(frame: Frame, now: float) -> None:
-        monitor.on_setpoint(frame, now)
-        on_frame(frame, now)
-
-    def steps(now: float) -> list[bytes]:
-        frames = step(now)
-        if len(flight.lost) < 2:
-            for raw in frames:
-                if raw[HEARTBEAT_AT] == bytes(3):
-                    monitor.on_heartbeat(raw[5], now)
-        return frames
-
-    fleet.on_frame, fleet.step = arrives, steps  # type: ignore[method-assign]
-    while True:
-        monitor.look(pi.now)
-        await asyncio.sleep(LOOK_S)

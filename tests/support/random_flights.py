@@ -259,6 +259,18 @@ async def watched(gcs: Flown) -> AsyncIterator[TruthMonitor]:
         lambda sysid: not (gcs.cut or gcs.deaf or gcs.loses or sysid in gcs.muted),
         lambda: gcs.uplink_delay_s,
     )
+    heard: Callable[[int], bool] = lambda sysid: not gcs.cut and sysid not in gcs.muted  # noqa: E731
+    looking = asyncio.create_task(watch(monitor, gcs, heard), name="the monitor")
+    try:
+        await asyncio.sleep(0)  # it sees what follows
+        yield monitor
+    finally:
+        looking.cancel()
+        await asyncio.gather(looking, return_exceptions=True)
+
+
+async def watch(monitor: TruthMonitor, gcs: Flown, heard: Callable[[int], bool]) -> None:
+    """Show the monitor each frame and each moment. ``heard``: whether the daemon hears this vehicle's heartbeats."""
     fleet, on_frame, step = gcs._fleet, gcs._fleet.on_frame, gcs._fleet.step
 
     def arrives(frame: Frame, now: float) -> None:
@@ -267,24 +279,15 @@ async def watched(gcs: Flown) -> AsyncIterator[TruthMonitor]:
 
     def steps(now: float) -> list[bytes]:
         frames = step(now)
-        for raw in frames if not gcs.cut else ():
-            if raw[HEARTBEAT_AT] == bytes(3) and raw[5] not in gcs.muted:
+        for raw in frames:
+            if raw[HEARTBEAT_AT] == bytes(3) and heard(raw[5]):
                 monitor.on_heartbeat(raw[5], now)
         return frames
 
     fleet.on_frame, fleet.step = arrives, steps  # type: ignore[method-assign]
-
-    async def look() -> None:
-        while True:
-            monitor.look(gcs.now)
-            await asyncio.sleep(LOOK_S)
-
-    looking = asyncio.create_task(look(), name="the monitor")
-    try:
-        yield monitor
-    finally:
-        looking.cancel()
-        await asyncio.gather(looking, return_exceptions=True)
+    while True:
+        monitor.look(gcs.now)
+        await asyncio.sleep(LOOK_S)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,8 +39,8 @@ class NoChild:
 class Bridged:
     """``gcs`` as in `support.flown`; ``node`` has the topics, services and actions."""
 
-    def __init__(self, gcs: Flown, node: KeptNode, bridge: Bridge, serving: asyncio.Task[None]) -> None:
-        self.gcs, self.node, self.bridge, self.serving = gcs, node, bridge, serving
+    def __init__(self, gcs: Flown, node: KeptNode, bridge: Bridge) -> None:
+        self.gcs, self.node, self.bridge = gcs, node, bridge
 
     async def send(self, action: str, vehicle: str = "v1", **goal: Any) -> Goal:
         """Send a goal, and wait for the answer."""
@@ -98,7 +98,7 @@ async def bridged(tmp_path: Path, commands: str = "all", **more: Any) -> AsyncIt
                 for name, publication in node.publications.items():
                     publication.readers = int("/_action/" in name or name.startswith("/skygcs/"))
                 await asyncio.sleep(1)
-                yield Bridged(gcs, node, bridge, serving)
+                yield Bridged(gcs, node, bridge)
             finally:
                 serving.cancel()
                 await asyncio.gather(serving, return_exceptions=True)

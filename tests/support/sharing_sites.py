@@ -69,6 +69,15 @@ def station_socket(daemon: DaemonProcess) -> Path:
     return daemon.socket.with_name(daemon.socket.name + ".federation")
 
 
+def _joined(hub: Hub, name: str) -> str:
+    return f"""[federation]
+site = "{name}"
+servers = ["{hub.url}"]
+nkey = "{hub.key_file(name)}"
+[federation.vehicles.alpha]
+home = "north\""""
+
+
 def fleet_file(hub: Hub, name: str, port: int, without_hub: str) -> str:
     """To be put behind the first lines of [daemon]."""
     return f"""
@@ -80,12 +89,7 @@ port = {port}
 role = "vehicle"
 [vehicles.alpha]
 sysid = {ALPHA}
-[federation]
-site = "{name}"
-servers = ["{hub.url}"]
-nkey = "{hub.key_file(name)}"
-[federation.vehicles.alpha]
-home = "north"
+{_joined(hub, name)}
 without_hub = "{without_hub}"
 """
 
@@ -118,12 +122,7 @@ px4 = 1
 ardupilot = 0
 [vehicles.alpha]
 sysid = 1
-[federation]
-site = "north"
-servers = ["{hub.url}"]
-nkey = "{hub.key_file("north")}"
-[federation.vehicles.alpha]
-home = "north"
+{_joined(hub, "north")}
 """
 
 

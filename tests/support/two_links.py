@@ -22,7 +22,7 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.stream_schedule import Streams
 from skygcs.sim.transmitter import Transmitter
 from skygcs.sim.vehicle import SimVehicle
-from support.daemons import made_daemon, memory_link
+from support.daemons import made_daemon, memory_link, started
 from support.on_air import FIELD, OnAir
 
 NETWORK_HZ = {
@@ -63,7 +63,6 @@ class NetworkPort:
         self.loss = 0.0
         self.delay_s = 0.005
         self.jitter_s = 0.0
-        self.down_lost = self.up_lost = 0
         self._loop = asyncio.get_running_loop()
         self._random = random.Random(seed)
         self._peer = link.peer
@@ -91,9 +90,7 @@ class NetworkPort:
 
     def _flush(self) -> None:
         for raw in self._tx.take():
-            if self.cut or self._random.random() < self.loss:
-                self.down_lost += 1
-            else:
+            if not self.cut and self._random.random() >= self.loss:
                 self._loop.call_later(self._delay_s(), self._peer.send, raw)
 
     def _delay_s(self) -> float:
@@ -101,9 +98,7 @@ class NetworkPort:
 
     def _on_bytes(self, data: bytes) -> None:
         for frame in self._parser.feed(data):
-            if self.cut or self.deaf or self._random.random() < self.loss:
-                self.up_lost += 1
-            else:
+            if not self.cut and not self.deaf and self._random.random() >= self.loss:
                 self._loop.call_later(self._delay_s(), self._hear, frame)
 
     def _hear(self, frame: Frame) -> None:
@@ -124,13 +119,11 @@ def note(log: list[Delivered], frame: Frame, sim: SimVehicle, over: str, now: fl
 
 @dataclass
 class TwoLinks(OnAir):
-    """``ports`` by system id; ``delivered``: what reached the vehicles; ``ages``: of the shown position, ten times a
-    second and vehicle, while ``watching``."""
+    """``ports`` by system id; ``delivered``: what reached the vehicles."""
 
     daemon: Daemon
     ports: dict[int, NetworkPort] = field(default_factory=dict)
     delivered: list[Delivered] = field(default_factory=list)
-    ages_s: list[float] = field(default_factory=list)
 
     def links(self, sysid: int) -> dict[str, Any]:
         """The state's "links" of a vehicle."""
@@ -159,8 +152,8 @@ class TwoLinks(OnAir):
                 ages.append(now - at if at is not None else float("inf"))
         return sorted(ages)
 
-    async def carried_by(self, link: str, timeout_s: float = 60.0) -> float:
-        return await self.until(lambda: all(self.chosen(s) == link for s in self.ports), timeout_s)
+    async def carried_by(self, link: str) -> float:
+        return await self.until(lambda: all(self.chosen(s) == link for s in self.ports))
 
 
 @contextlib.asynccontextmanager
@@ -186,25 +179,21 @@ async def two_links(
         },
         defaults=defaults,
     )
-    running = asyncio.create_task(daemon.run(), name="the daemon")
-    await daemon.ready.wait()
-    field_ = TwoLinks(daemon)
-    await field_.until(lambda: field_.link.channels)
-    for sim in field_.link.vehicles:
-        wifi = memory_link(daemon, f"wifi{sim.sysid}")
-        field_.ports[sim.sysid] = NetworkPort(sim, wifi, field_.delivered, seed * 1000 + sim.sysid)
-        _log_radio(field_, sim)
-    ticking = asyncio.create_task(_tick(field_), name="network ports")
-    try:
-        await field_.until(lambda: len(daemon.hub.router.state_sources) == vehicles)
-        await field_.carried_by("wifi")
-        yield field_
-        assert not field_.events("fault")
-    finally:
-        ticking.cancel()
-        daemon.stop()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
+    async with started(daemon):
+        field_ = TwoLinks(daemon)
+        await field_.until(lambda: field_.link.channels)
+        for sim in field_.link.vehicles:
+            wifi = memory_link(daemon, f"wifi{sim.sysid}")
+            field_.ports[sim.sysid] = NetworkPort(sim, wifi, field_.delivered, seed * 1000 + sim.sysid)
+            _log_radio(field_, sim)
+        ticking = asyncio.create_task(_tick(field_), name="network ports")
+        try:
+            await field_.until(lambda: len(daemon.hub.router.state_sources) == vehicles)
+            await field_.carried_by("wifi")
+            yield field_
+            assert not field_.events("fault")
+        finally:
+            ticking.cancel()
 
 
 def _log_radio(field_: TwoLinks, sim: SimVehicle) -> None:

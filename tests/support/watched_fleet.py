@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from skygcs.core.geo import EnuFrame, Origin
-from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.monitor.tracks import Member
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.fleet import Fleet
 from support.vehicles import flight_dialect
 
 ORIGIN = Origin(43.7806, -79.4653, 180.0)
@@ -79,4 +80,18 @@ class WatchedVehicle:
         info = self.dialect.by_name[name]
         raw = encode(info, values, sysid=self.vehicle.sysid, compid=1, seq=self._seq & 0xFF)
         for frame in self._parser.feed_datagram(raw):
-            self.vehicle.on_frame(frame, now)
+            self.hear(frame, now)
+
+    def hear(self, frame: Frame, now: float) -> None:
+        self.vehicle.on_frame(frame, now)
+
+
+class VehicleOfFleet(WatchedVehicle):
+    """Its frames go to the fleet."""
+
+    def __init__(self, sysid: int, fleet: Fleet) -> None:
+        super().__init__(sysid)
+        self._fleet = fleet
+
+    def hear(self, frame: Frame, now: float) -> None:
+        self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "air", now)

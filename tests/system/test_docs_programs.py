@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from support.hanging import HANG_S
-from support.process import ROOT, DaemonProcess, free_port, wait_until
+from support.process import FIELD_TOML, ROOT, DaemonProcess, free_port, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -32,12 +32,9 @@ NOT_RUN = {
 }
 """Further pages with Python."""
 
-FLEET = """
-[origin]
-lat_deg = 43.7806
-lon_deg = -79.4653
-alt_amsl_m = 180.0
-
+FLEET = (
+    FIELD_TOML
+    + """
 [links.field]
 type = "simulated"
 px4 = 1
@@ -49,6 +46,7 @@ sysid = 1
 [vehicles.bravo]
 sysid = 2
 """
+)
 
 
 def python_blocks(page: str) -> list[str]:

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from support.process import ROOT, DaemonProcess, wait_until
+from support.process import FIELD_TOML, ROOT, DaemonProcess, wait_until
 from support.shell_examples import PAGES, commands, label
 
 pytestmark = pytest.mark.system
@@ -97,12 +97,9 @@ REFUSED = ("skygcs-cli goto alpha 0 0 10",)
 ANSWERS = ("fence status", "link plan", "param diff", "preflight")
 """What exits 1 for its answer: outside the fence, does not fit, different, not ready."""
 
-FLEET = """
-[origin]
-lat_deg = 43.7806
-lon_deg = -79.4653
-alt_amsl_m = 180.0
-
+FLEET = (
+    FIELD_TOML
+    + """
 [links.field]
 type = "simulated"
 px4 = 2
@@ -118,6 +115,7 @@ sysid = 2
 [vehicles.charlie]
 sysid = 3
 """
+)
 
 
 SITE = [[43.7800, -79.4665], [43.7812, -79.4665], [43.7812, -79.4640], [43.7800, -79.4640]]

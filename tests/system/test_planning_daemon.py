@@ -14,20 +14,18 @@ import pytest
 
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client, connect
-from support.process import DaemonProcess, wait_until
+from support.process import FIELD_TOML, DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
 
-FLEET_FILE = """
-[origin]
-lat_deg = 43.7806
-lon_deg = -79.4653
-alt_amsl_m = 180.0
-[links.field]
+FLEET_FILE = (
+    FIELD_TOML
+    + """[links.field]
 type = "simulated"
 px4 = 2
 ardupilot = 0
 """
+)
 INVALID, REFUSED, TARGET = -32602, -32002, -32001
 PIECE = [1.0, [0.0], [0.0], [5.0], None]
 

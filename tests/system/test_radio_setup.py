@@ -16,7 +16,7 @@ import serial
 from skygcs.sim.at_modem import AtRadio, Faults
 from support.at_pty import on_a_pty
 from support.hanging import HANG_S
-from support.process import DaemonProcess, wait_until
+from support.process import DaemonProcess, cli_at, wait_until
 
 pytestmark = pytest.mark.system
 """Guard times and restarts are real: a visit takes four seconds, a change nine."""
@@ -26,16 +26,7 @@ CLI = str(Path(sys.executable).with_name("skygcs-cli"))
 
 def cli(folder: Path, *words: str | Path, code: int = 0) -> str:
     """`skygcs-cli radio WORDS`, beside no daemon; what it printed."""
-    done = subprocess.run(
-        [CLI, "radio", *map(str, words)],
-        env={**os.environ, "SKYGCS_SOCKET": str(folder / "nobody.sock")},
-        capture_output=True,
-        text=True,
-        timeout=HANG_S,
-        check=False,
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout + done.stderr
+    return cli_at(folder / "nobody.sock", "radio", *words, code=code)
 
 
 def test_a_radio_is_backed_up_changed_and_restored_at_another_rate(tmp_path: Path) -> None:

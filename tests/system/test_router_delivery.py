@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from support import router_bench as bench
-from support import router_load
 
 pytestmark = pytest.mark.system
-
-IN_PYTHON = [sys.executable, router_load.__file__]
 
 
 def check(report: dict[str, Any]) -> None:
@@ -39,12 +35,3 @@ def test_commands_reach_the_one_vehicle_they_are_for(tmp_path: Path) -> None:
     with bench.running(bench.skygcs("skygcs", keep_vehicles=True, record=True, gcs=2), tmp_path, gcs=2) as target:
         bench.wait_forwarding(target, load, own_sockets=1)
         check(bench.run_load(target, load, rate=1_000, commands=500, seconds=0.5, own_sockets=1))
-
-
-def test_the_generator_in_python_sees_the_same(tmp_path: Path) -> None:
-    with bench.running(bench.skygcs("skygcs", keep_vehicles=True, record=False, gcs=2), tmp_path, gcs=2) as target:
-        bench.wait_forwarding(target, IN_PYTHON, own_sockets=1)
-        report = bench.run_load(target, IN_PYTHON, rate=1_000, commands=200, seconds=0.5, own_sockets=1)
-    check(report)
-    assert report["telemetry"]["received"] == 1000
-    assert report["commands"]["received"] == 100

@@ -145,19 +145,22 @@ def loaded(code: str, *arguments: str) -> list[set[str]]:
     return [set(line.split()[1:]) for line in done.stdout.splitlines()]
 
 
-def test_a_daemon_loads_nothing_heavy_and_what_its_socket_needs_last(tmp_path: Path) -> None:
-    fleet = tmp_path / "fleet.toml"
-    fleet.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
-    loaded(RUN, str(fleet))  # the dialect's table may have to be made, which takes mavgen and a validator
+@pytest.fixture
+def fleet(tmp_path: Path) -> Path:
+    """Its dialect's table is made: that may take mavgen and a validator."""
+    path = tmp_path / "fleet.toml"
+    path.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
+    loaded(RUN, str(path))
+    return path
+
+
+def test_a_daemon_loads_nothing_heavy_and_what_its_socket_needs_last(fleet: Path) -> None:
     before, after = loaded(RUN, str(fleet), *HEAVY, *SOCKET_SIDE)
     assert before == set()
     assert after == set(SOCKET_SIDE)
 
 
-def test_a_daemon_has_what_an_emergency_needs_and_nothing_that_it_never_uses(tmp_path: Path) -> None:
-    fleet = tmp_path / "fleet.toml"
-    fleet.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
-    loaded(RUN, str(fleet))  # makes the dialect's table
+def test_a_daemon_has_what_an_emergency_needs_and_nothing_that_it_never_uses(fleet: Path) -> None:
     assert loaded(AS_INSTALLED, str(fleet), *HEAVY, *SPARED, *NEEDED) == [set(NEEDED)]
 
 
@@ -172,22 +175,16 @@ def test_a_fleet_file_makes_the_validators_of_its_own_links_only(tmp_path: Path)
     assert loaded(code, str(fleet)) == [{"udp_server"}]
 
 
-def test_a_vehicle_with_a_place_in_the_world_loads_nothing_heavy(tmp_path: Path) -> None:
-    fleet = tmp_path / "fleet.toml"
+def test_a_vehicle_with_a_place_in_the_world_loads_nothing_heavy(tmp_path: Path, fleet: Path) -> None:
     fleet.write_text(
-        f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n'
-        "[origin]\nlat_deg = 43.7806\nlon_deg = -79.4653\nalt_amsl_m = 180.0\n"
+        fleet.read_text() + "[origin]\nlat_deg = 43.7806\nlon_deg = -79.4653\nalt_amsl_m = 180.0\n"
         '[links.field]\ntype = "simulated"\npx4 = 1\n'
     )
-    loaded(RUN, str(fleet))  # makes the dialect's table
     assert loaded(WITH_A_VEHICLE, str(fleet), f"{tmp_path}/s", *HEAVY) == [set()]
 
 
-def test_plans_are_imported_when_one_of_their_methods_is_called(tmp_path: Path) -> None:
+def test_plans_are_imported_when_one_of_their_methods_is_called(tmp_path: Path, fleet: Path) -> None:
     """Not for a page that shows the status of the plan, of which there is none; and numpy never."""
-    fleet = tmp_path / "fleet.toml"
-    fleet.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
-    loaded(RUN, str(fleet))  # makes the dialect's table
     rooms = ("skygcs.core.plan", "skygcs.ext.plans", "skygcs.ext.plans.plan_runner")
     assert loaded(WITH_PLANS, str(fleet), f"{tmp_path}/s", *rooms, "numpy") == [set(), set(rooms)]
 

@@ -16,24 +16,11 @@ from pathlib import Path
 import pytest
 
 from support.hanging import HANG_S
-from support.process import DaemonProcess, wait_until
+from support.process import DaemonProcess, cli_at, wait_until
 
 pytestmark = pytest.mark.system
 
 BIN = Path(sys.executable).parent
-
-
-def cli(socket: Path, *words: str | Path, code: int = 0) -> str:
-    done = subprocess.run(
-        [BIN / "skygcs-cli", *map(str, words)],
-        env={**os.environ, "SKYGCS_SOCKET": str(socket)},
-        capture_output=True,
-        text=True,
-        timeout=HANG_S,
-        check=False,
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout + done.stderr
 
 
 @contextmanager
@@ -56,11 +43,11 @@ def test_vehicles_behind_xbee_are_flown_and_come_back_after_the_module_was_pulle
     with DaemonProcess(tmp_path, toml) as daemon:
         with network(port, "--px4", "1", "--ardupilot", "2"):
             wait_until(lambda: len(daemon.vehicles()) == 3, "three vehicles are heard")
-            assert " ok " in f" {cli(daemon.socket, 'arm', 'all', '--wait', '60')}"
-            takeoff = cli(daemon.socket, "takeoff", "all", "5")
+            assert " ok " in f" {cli_at(daemon.socket, 'arm', 'all', '--wait', '60')}"
+            takeoff = cli_at(daemon.socket, "takeoff", "all", "5")
             assert takeoff.count("ok ") == 3, takeoff
             wait_until(lambda: all(v["landed"] == "in_air" for v in daemon.vehicles().values()), "all fly")
-            stopped = cli(daemon.socket, "stop", "all")
+            stopped = cli_at(daemon.socket, "stop", "all")
             assert stopped.count("ok ") == 3, stopped
             (link,) = daemon.call("links.list")
             assert {len(c["sources"]) for c in link["channels"]} == {1}, "each node brings its own vehicle alone"
@@ -78,16 +65,16 @@ def test_a_module_and_its_nodes_are_shown_and_set_while_the_daemon_lends_the_por
     toml = f'[links.mesh]\ntype = "xbee"\ndevice = "{port}"\n'
     with network(port, "--px4", "2", "--ardupilot", "0", air="200"), DaemonProcess(tmp_path, toml) as daemon:
         wait_until(lambda: len(daemon.vehicles()) == 2, "two vehicles are heard")
-        told = cli(daemon.socket, "xbee", "discover", port, "--wait", "2")
+        told = cli_at(daemon.socket, "xbee", "discover", port, "--wait", "2")
         nodes = re.findall(r"^([0-9A-F]{16})  (\w+)$", told, re.MULTILINE)
         assert [name for _, name in nodes] == ["vehicle1", "vehicle2"] and "mesh: open again" in told
-        told = cli(daemon.socket, "xbee", "set", port, "NI=base", "RR=3")
+        told = cli_at(daemon.socket, "xbee", "set", port, "NI=base", "RR=3")
         assert "NI  ground -> base" in told and "RR  10 -> 3" in told
         address = nodes[1][0]
-        assert "NI  vehicle2 -> bravo" in cli(daemon.socket, "xbee", "set", port, "--node", address, "NI=bravo")
-        assert re.search("^NI +bravo", cli(daemon.socket, "xbee", "show", port, "--node", address), re.MULTILINE)
-        assert "out of reach" in cli(daemon.socket, "xbee", "set", port, "--node", address, "ID=9", code=1)
-        assert "can only be read" in cli(daemon.socket, "xbee", "set", port, "NP=72", code=2)
+        assert "NI  vehicle2 -> bravo" in cli_at(daemon.socket, "xbee", "set", port, "--node", address, "NI=bravo")
+        assert re.search("^NI +bravo", cli_at(daemon.socket, "xbee", "show", port, "--node", address), re.MULTILINE)
+        assert "out of reach" in cli_at(daemon.socket, "xbee", "set", port, "--node", address, "ID=9", code=1)
+        assert "can only be read" in cli_at(daemon.socket, "xbee", "set", port, "NP=72", code=2)
         wait_until(lambda: daemon.call("links.list")[0]["state"] == "up", "the daemon has its port again")
 
 
@@ -150,9 +137,9 @@ def fresh(tmp_path: Path) -> Iterator[TransparentModule]:
 
 def test_a_module_as_delivered_is_read_and_given_api_mode(tmp_path: Path, fresh: TransparentModule) -> None:
     port, nobody = tmp_path / "ttyNEW", tmp_path / "nobody.sock"
-    told = cli(nobody, "xbee", "show", port, "--baud", "9600")
+    told = cli_at(nobody, "xbee", "show", port, "--baud", "9600")
     assert "9600 baud, transparent" in told and "AP is 0" in told and fresh.left
-    told = cli(nobody, "xbee", "set", port, "--baud", "9600", "AP=2", "BD=115200", "NI=ground")
+    told = cli_at(nobody, "xbee", "set", port, "--baud", "9600", "AP=2", "BD=115200", "NI=ground")
     assert "AP  0 -> 2" in told and "BD  9600 -> 115200" in told
     assert (fresh.saved["AP"], fresh.saved["BD"], fresh.saved["NI"]) == ("2", "7", "ground")
 
@@ -160,7 +147,7 @@ def test_a_module_as_delivered_is_read_and_given_api_mode(tmp_path: Path, fresh:
 def test_a_refused_setting_puts_back_what_was_written_before(tmp_path: Path, fresh: TransparentModule) -> None:
     fresh.refuses = "BD"
     port, nobody = tmp_path / "ttyNEW", tmp_path / "nobody.sock"
-    told = cli(nobody, "xbee", "set", port, "--baud", "9600", "BD=115200", "ID=0x22", code=1)
+    told = cli_at(nobody, "xbee", "set", port, "--baud", "9600", "BD=115200", "ID=0x22", code=1)
     assert "BD: bad value" in told and "what was written was put back" in told
     assert fresh.registers["ID"] == "7FFF" and fresh.saved == {} and fresh.left
 
@@ -168,7 +155,7 @@ def test_a_refused_setting_puts_back_what_was_written_before(tmp_path: Path, fre
 def test_a_port_without_a_module_is_named(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     try:
-        told = cli(tmp_path / "nobody.sock", "xbee", "show", os.ttyname(slave), "--baud", "9600", code=1)
+        told = cli_at(tmp_path / "nobody.sock", "xbee", "show", os.ttyname(slave), "--baud", "9600", code=1)
     finally:
         os.close(master)
         os.close(slave)

@@ -6,7 +6,6 @@ python -m bench.control [--only steps|moving|fleet|hundred] [--write-docs] [--pr
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -20,12 +19,12 @@ from bench.control.figures import Section, virtual_sections
 from bench.control.fleet import ROOT, Load, carry
 from bench.control.fleet_report import fleet_section
 from bench.control.moving_figures import moving_sections
+from bench.results import OUT, keep
 
 LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
 """The second with a guard that bears the delays of a machine which also has to simulate fifty vehicles: it is about
 what fifty cost."""
 HUNDRED = Load(100, 50.0, 0.1, stand_ins=True)
-OUT = ROOT / "build" / "bench"
 DOCS = ROOT / "docs" / "developers" / "control-figures.md"
 WHAT = (
     "steps, moving: virtual time; fleet: processes and sockets; hundred: that with 100 vehicles that are not simulated"
@@ -65,8 +64,7 @@ def main() -> int:
         _show(fleet_section(carried), told, missed)
     told["missed"] = missed
     told["seconds"] = round(time.monotonic() - began, 1)
-    (OUT / "control.json").write_text(json.dumps(told, indent=2) + "\n")
-    print(f"\n{told['seconds']:.0f} s; all of it in {OUT / 'control.json'}")
+    print(f"\n{told['seconds']:.0f} s; all of it in {keep('control', told)}")
     for what in missed:
         print(f"MISSED: {what}")
     return 1 if missed else 0

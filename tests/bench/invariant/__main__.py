@@ -10,7 +10,6 @@ python -m bench.invariant [--flights 1000] [--first 0] [--jobs N]
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -22,12 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.monitor.virtual import in_virtual_time
+from bench.results import keep
 from support.random_companions import fly_by_companion
 from support.random_flights import Judged, fly_randomly
 from support.random_orders import fly_by_orders
 from support.random_plans import fly_a_plan
-
-OUT = Path(__file__).resolve().parents[3] / "build" / "bench"
 
 KINDS: dict[str, Callable[[Path, int], Coroutine[Any, Any, Judged]]] = {
     "orders": fly_randomly,
@@ -67,7 +65,6 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
-    OUT.mkdir(parents=True, exist_ok=True)
     began, told, failed = time.monotonic(), dict[str, Any](), 0
     sums = dict.fromkeys((*KINDS, "looked", "attended_again", "holds"), 0)
     with ProcessPoolExecutor(options.jobs) as pool:
@@ -83,8 +80,7 @@ def main() -> int:
                 told[str(seed)] = {"kind": kind, "found": found, "done": deeds}
                 print(f"seed {seed} ({kind}):", *found, *deeds, sep="\n    ", flush=True)
             flown = sum(sums[name] for name in KINDS)
-            report = {"flights": flown, "failed": failed, **sums, "wrong": told}
-            (OUT / "invariant.json").write_text(json.dumps(report, indent=2) + "\n")
+            keep("invariant", {"flights": flown, "failed": failed, **sums, "wrong": told})
     print(
         f"{flown} flights ({', '.join(f'{sums[name]} {name}' for name in KINDS)}) in {time.monotonic() - began:.0f} s: "
         f"{failed} broke the invariant; {sums['looked'] / 20:.0f} s of flight by setpoints were looked at, "

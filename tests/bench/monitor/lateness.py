@@ -17,12 +17,10 @@ import uvloop
 
 from bench.monitor.cost import _motion
 from skygcs.config.models import FleetConfig
-from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.parser import FrameParser
 from skygcs.runtime.fleet import Fleet
 from support.services import KnownLinks
 from support.vehicles import flight_dialect
-from support.watched_fleet import WatchedVehicle
+from support.watched_fleet import VehicleOfFleet
 
 FLEETS = (50, 250)
 LAYOUTS = ("grid", "crossing")
@@ -32,21 +30,6 @@ SLICES = 6
 """Without and with the monitor, three times each."""
 
 HEARD_HZ = 4.0
-
-
-class _Heard(WatchedVehicle):
-    """Its frames go to the fleet."""
-
-    def __init__(self, sysid: int, fleet: Fleet) -> None:
-        super().__init__(sysid)
-        self._fleet = fleet
-        self._hear = FrameParser(self.dialect)
-
-    def send(self, name: str, now: float, **values: Any) -> None:
-        self._seq += 1
-        raw = encode(self.dialect.by_name[name], values, sysid=self.vehicle.sysid, compid=1, seq=self._seq & 0xFF)
-        for frame in self._hear.feed_datagram(raw):
-            self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "air", now)
 
 
 def lateness_rows() -> Iterator[dict[str, Any]]:
@@ -59,7 +42,7 @@ async def _measure(count: int, layout: str) -> dict[str, Any]:
     loop = asyncio.get_running_loop()
     config = FleetConfig.model_validate({"monitor": {"mode": "advisory"}})
     fleet = Fleet(config, flight_dialect(), lambda *_, **__: True, loop, lambda event: None, links=KnownLinks())
-    vehicles = [_Heard(i + 1, fleet) for i in range(count)]
+    vehicles = [VehicleOfFleet(i + 1, fleet) for i in range(count)]
     feeding = asyncio.create_task(_feed(vehicles, layout), name="frames")
     await asyncio.sleep(2.0)
     gc.collect()
@@ -88,7 +71,7 @@ async def _measure(count: int, layout: str) -> dict[str, Any]:
     }
 
 
-async def _feed(vehicles: list[_Heard], layout: str) -> None:
+async def _feed(vehicles: list[VehicleOfFleet], layout: str) -> None:
     """Each `HEARD_HZ` times a second, one after the other."""
     pause_s, n, begun = 1.0 / (HEARD_HZ * len(vehicles)), 0, time.monotonic()
     loop = asyncio.get_running_loop()

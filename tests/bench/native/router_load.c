@@ -10,7 +10,7 @@
  *
  * It warms up (two heartbeats a vehicle, so that routes are known), prints "ready", waits for a line, runs, and prints
  * one JSON object. Latency is from the call that sent to the kernel's time of receipt: the generator's own scheduling
- * does not count. tests/bench/router_load.py is the same in Python, for machines without a compiler.
+ * does not count.
  */
 #define _GNU_SOURCE
 #include <arpa/inet.h>

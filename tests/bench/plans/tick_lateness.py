@@ -17,18 +17,16 @@ from skygcs.core.plan.fleet_plan import FlightSpace, TimedPlan
 from skygcs.core.plan.plan_json import plan_content
 from skygcs.core.plan.straight_flight import straight_trajectories
 from skygcs.core.trajectory import MotionLimits
-from support.process import DaemonProcess, wait_until
+from support.process import FIELD_TOML, DaemonProcess, wait_until
 
-FLEET_FILE = """
-[origin]
-lat_deg = 43.7806
-lon_deg = -79.4653
-alt_amsl_m = 180.0
-[links.field]
+FLEET_FILE = (
+    FIELD_TOML
+    + """[links.field]
 type = "simulated"
 px4 = 4
 ardupilot = 0
 """
+)
 WINDOW_S = 11.0
 """The daemon's lateness is of the last 500 ticks: ten seconds at 50 Hz."""
 

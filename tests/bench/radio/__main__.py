@@ -7,18 +7,16 @@ python -m bench.radio [--quick]
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import Any
 
 from bench.commanded_daemon import Column
 from bench.radio import report
 from bench.radio.cell import measure
+from bench.results import OUT, keep
 
-OUT = Path(__file__).parents[3] / "build" / "bench"
 VEHICLES = (2, 4, 8, 10, 15)
 AIRS_KBPS = (64.0, 125.0)
 COLUMNS: tuple[Column, ...] = ("plain", "skygcs")
@@ -38,7 +36,6 @@ def main() -> int:
     print(report.table(rows))
     print(report.summary(targets))
     print("\n".join(verdict.line() for verdict in expected))
-    OUT.mkdir(parents=True, exist_ok=True)
     seconds = round(time.monotonic() - began, 1)
     told = {
         "cells": rows,
@@ -47,9 +44,9 @@ def main() -> int:
         "missed": missed,
         "seconds": seconds,
     }
-    (OUT / "radio.json").write_text(json.dumps(told, indent=2) + "\n")
+    path = keep("radio", told)
     report.picture(rows, OUT / "radio.png")
-    print(f"\n{seconds:.0f} s; all of it in {OUT / 'radio.json'}, a picture in {OUT / 'radio.png'}")
+    print(f"\n{seconds:.0f} s; all of it in {path}, a picture in {OUT / 'radio.png'}")
     return 1 if missed else 0
 
 

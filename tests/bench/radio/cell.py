@@ -13,7 +13,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bench.commanded_daemon import PARAMETERS, Column, CommandedDaemon, Measured, Quiet, furnish, in_virtual_time
+from bench.commanded_daemon import PARAMETERS, Column, CommandedDaemon, Measured, furnish
+from bench.monitor.virtual import in_virtual_time
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
@@ -39,7 +40,7 @@ def measure(
     column: Column, vehicles: int, air_kbps: float, *, settle_s: float = SETTLE_S, measure_s: float = MEASURE_S
 ) -> Measured:
     """Run one cell; takes a few seconds of real time."""
-    with contextlib.closing(Quiet()), tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder:
         cell = _Cell(column, vehicles, air_kbps, Path(folder), settle_s, measure_s)
         return in_virtual_time(cell.run())
 

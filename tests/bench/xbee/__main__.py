@@ -6,18 +6,16 @@ python -m bench.xbee
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import bench.radio.cell
 import bench.xbee.cell
+from bench.results import keep
 
-OUT = Path(__file__).parents[3] / "build" / "bench"
 VEHICLES = (3, 6, 9)
 AGE_S = 2.5
 """Of a position at p95: what the radio bench asks for, too."""
@@ -39,10 +37,7 @@ def main() -> int:
         lost = f"{row['lost_commands']} of {row['commands']}"
         print(f"{row['way']:22} {row['vehicles']:8} {row['heard']:5}  {times}  {lost:>11}")
     missed = [row for row in rows if row["way"].endswith("skygcs") and not _met(row)]
-    OUT.mkdir(parents=True, exist_ok=True)
-    told = {"rows": rows, "missed": missed, "seconds": round(time.monotonic() - began, 1)}
-    (OUT / "xbee.json").write_text(json.dumps(told, indent=2) + "\n")
-    print(OUT / "xbee.json")
+    print(keep("xbee", {"rows": rows, "missed": missed, "seconds": round(time.monotonic() - began, 1)}))
     return 1 if missed else 0
 
 

@@ -24,10 +24,9 @@ from bench.commanded_daemon import (
     Column,
     CommandedDaemon,
     Measured,
-    Quiet,
     furnish,
-    in_virtual_time,
 )
+from bench.monitor.virtual import in_virtual_time
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
@@ -61,9 +60,9 @@ OWN_BYTES = 27
 
 def measure(column: Column, vehicles: int, *, settle_s: float = SETTLE_S, measure_s: float = MEASURE_S) -> Measured:
     """Run one cell; takes a few seconds of real time."""
-    with contextlib.closing(Quiet()), tempfile.TemporaryDirectory() as folder:
-        if column == "plain":
-            return _PlainCell(vehicles, settle_s, measure_s).run()
+    if column == "plain":
+        return _PlainCell(vehicles, settle_s, measure_s).run()
+    with tempfile.TemporaryDirectory() as folder:
         return in_virtual_time(_DaemonCell(vehicles, Path(folder), settle_s, measure_s).run())
 
 

@@ -14,25 +14,22 @@ import pytest
 from skygcs.cli.process import run_loop, serve_until_signal
 from skygcs.errors import LinkError
 from support.daemons import made_daemon
+from support.table import each
 
 
-def test_an_error_of_ours_comes_out_of_a_task_group_as_itself() -> None:
+@each(
+    ("error", "raised"),
+    [(LinkError("the port is taken"), LinkError), (ZeroDivisionError(), BaseExceptionGroup)],
+)
+def test_an_error_of_ours_comes_out_of_a_task_group_as_itself_and_a_bug_does_not(
+    error: Exception, raised: type[BaseException]
+) -> None:
     async def fails() -> int:
         async with asyncio.TaskGroup() as group:
-            group.create_task(_raise(LinkError("the port is taken")))
+            group.create_task(_raise(error))
         return 0
 
-    with pytest.raises(LinkError, match="the port is taken"):
-        run_loop(fails())
-
-
-def test_a_bug_is_not_mistaken_for_an_error_of_ours() -> None:
-    async def fails() -> int:
-        async with asyncio.TaskGroup() as group:
-            group.create_task(_raise(ZeroDivisionError()))
-        return 0
-
-    with pytest.raises(BaseExceptionGroup):
+    with pytest.raises(raised, match="the port is taken" if isinstance(error, LinkError) else None):
         run_loop(fails())
 
 

@@ -12,6 +12,7 @@ import pytest
 from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
 from skygcs.runtime import param_cache
 from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache, default_cache_dir
+from support.table import each
 
 KEY = CacheKey("px4", 3, 1, "00ff", "1.16.0")
 PARAMS = (
@@ -50,15 +51,10 @@ def test_the_files_unused_for_longest_go_first(tmp_path: Path, monkeypatch: pyte
     assert sorted(p.name[4] for p in tmp_path.iterdir()) == ["1", "3", "4"]
 
 
-def test_a_folder_that_cannot_be_made_is_no_error(tmp_path: Path) -> None:
+@each("folder", ["file", None])
+def test_a_folder_that_cannot_be_made_and_none_keep_nothing(tmp_path: Path, folder: str | None) -> None:
     (tmp_path / "file").write_text("")
-    cache = ParamCache(tmp_path / "file")
-    cache.store(KEY, CachedParams(PARAMS, 1))
-    assert cache.load(KEY) is None
-
-
-def test_no_folder_keeps_nothing() -> None:
-    cache = ParamCache(None)
+    cache = ParamCache(None if folder is None else tmp_path / folder)
     cache.store(KEY, CachedParams(PARAMS, 1))
     assert cache.load(KEY) is None
 

@@ -10,7 +10,6 @@ import pytest
 
 from skygcs.config.models import FleetConfig
 from skygcs.core.geo import EnuFrame
-from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.events import Event
@@ -18,7 +17,7 @@ from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
 from support.services import KnownLinks
 from support.vehicles import flight_dialect
-from support.watched_fleet import ORIGIN, WatchedVehicle
+from support.watched_fleet import ORIGIN, VehicleOfFleet, WatchedVehicle
 
 pytestmark = pytest.mark.looptime
 
@@ -32,7 +31,7 @@ class Sky:
         config = FleetConfig.model_validate({"monitor": {"mode": mode}})
         self.fleet = Fleet(config, flight_dialect(), self._send, self.loop, self.events.append, links=KnownLinks())
         self.sent = 0
-        self.vehicles = [Heard(i + 1, self.fleet) for i in range(count)]
+        self.vehicles = [VehicleOfFleet(i + 1, self.fleet) for i in range(count)]
 
     def _send(self, *_: Any, **__: Any) -> bool:
         self.sent += 1
@@ -41,21 +40,6 @@ class Sky:
     @property
     def monitor(self) -> SeparationMonitor:
         return self.fleet.monitor
-
-
-class Heard(WatchedVehicle):
-    def __init__(self, sysid: int, fleet: Fleet) -> None:
-        super().__init__(sysid)
-        self._fleet = fleet
-        self._hear = FrameParser(self.dialect)
-
-    def send(self, name: str, now: float, **values: Any) -> None:
-        from skygcs.core.mavlink.frame import encode
-
-        self._seq += 1
-        raw = encode(self.dialect.by_name[name], values, sysid=self.vehicle.sysid, compid=1, seq=self._seq & 0xFF)
-        for frame in self._hear.feed_datagram(raw):
-            self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "air", now)
 
 
 async def crowd(sky: Sky, seconds: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,12 +32,15 @@ def test_fires_once_when_the_last_of_all_falls_silent() -> None:
     assert dead_man.check(1000.0) is None
 
 
-def test_fires_again_after_somebody_came_back_and_left() -> None:
+@each("somebody", [lambda d, now: d.alive(f"client of {now}", now), lambda d, now: d.begin(now)])
+def test_fires_again_after_somebody_came_back_and_left_or_control_began(
+    somebody: Callable[[DeadMan, float], None],
+) -> None:
     dead_man = DeadMan(10.0)
-    dead_man.alive("client 1", 0.0)
+    somebody(dead_man, 0.0)
     assert dead_man.check(10.0)
-    dead_man.alive("client 2", 20.0)
-    assert dead_man.check(29.0) is None
+    somebody(dead_man, 20.0)
+    assert dead_man.check(29.9) is None
     assert dead_man.check(30.0)
 
 
@@ -51,15 +56,6 @@ def test_counts_from_where_control_began_if_nobody_ever_came() -> None:
     assert fired is not None
     assert fired.last is None
     assert fired.reason == "no operator or client, ever, for 10.0 s (limit 10 s)"
-
-
-def test_control_that_begins_after_it_fired_is_watched_again() -> None:
-    dead_man = DeadMan(10.0)
-    dead_man.begin(0.0)
-    assert dead_man.check(10.0)
-    dead_man.begin(20.0)
-    assert dead_man.check(29.9) is None
-    assert dead_man.check(30.0)
 
 
 @each(("timeout_s", "action"), [(1.9, "hold"), (3601.0, "hold"), (float("nan"), "hold"), (10.0, "kill")])

@@ -36,21 +36,12 @@ from skygcs.core.mavlink.signing import (
 from support.examples import examples
 from support.frames import dialect, heartbeat, offline, random_values
 from support.public_data import public_file
+from support.pymav import Outbox
 from support.table import each
 
 KEY = bytes(range(1, 33))
 NOW_UNIX_S = 1_795_000_000.0
 NOW = timestamp_at(NOW_UNIX_S)
-
-
-class Outbox:
-    """What pymavlink believes is a file."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def write(self, data: bytes) -> None:
-        self.data += bytes(data)
 
 
 def pymav(key: bytes = KEY, *, timestamp: int = NOW, link_id: int = 3, sysid: int = 7) -> Any:

@@ -24,23 +24,23 @@ from support.examples import examples
 from support.frames import dialect
 from support.mission_vehicle import (
     ArduPilotMission,
-    BadNetwork,
     MissionRig,
     MissionVehicle,
     Px4Mission,
     Reply,
     opaque_of,
 )
+from support.param_vehicle import Network
 from support.table import each
 
 VEHICLES = {"ardupilot": ArduPilotMission, "px4": Px4Mission}
 NETWORKS = {
-    "lossy": BadNetwork(loss=0.2),
-    "doubling": BadNetwork(duplicate=0.3, delay_s=(0.01, 0.3)),
-    "reordering": BadNetwork(delay_s=(0.0, 1.0)),
-    "slow": BadNetwork(delay_s=(1.9, 2.1)),
-    "bytewise": BadNetwork(loss=0.05, bytewise=True),
-    "all at once": BadNetwork(loss=0.2, duplicate=0.2, delay_s=(0.02, 0.6), bytewise=True),
+    "lossy": Network(loss=0.2),
+    "doubling": Network(duplicate=0.3, delay_s=(0.01, 0.3)),
+    "reordering": Network(delay_s=(0.0, 1.0)),
+    "slow": Network(delay_s=(1.9, 2.1)),
+    "bytewise": Network(loss=0.05, bytewise=True),
+    "all at once": Network(loss=0.2, duplicate=0.2, delay_s=(0.02, 0.6), bytewise=True),
 }
 
 
@@ -107,7 +107,7 @@ def test_many_items_go_up_and_down_exactly_over_a_bad_network(family: str, netwo
     family=st.sampled_from(sorted(VEHICLES)),
     seed=st.integers(0, 2**32),
     net=st.builds(
-        BadNetwork,
+        Network,
         loss=st.floats(0, 0.25),
         duplicate=st.floats(0, 0.5),
         delay_s=st.tuples(st.floats(0, 0.2), st.floats(0.2, 2.0)),
@@ -118,7 +118,7 @@ def test_many_items_go_up_and_down_exactly_over_a_bad_network(family: str, netwo
     cut_after=st.none() | st.integers(0, 60),
 )
 def test_any_upload_ends_bounded_and_tells_the_truth(
-    family: str, seed: int, net: BadNetwork, count: int, before: int, cut_after: int | None
+    family: str, seed: int, net: Network, count: int, before: int, cut_after: int | None
 ) -> None:
     vehicle = VEHICLES[family](items=mission(before, 1000))
     old, items = list(vehicle.items), mission(count)
@@ -146,14 +146,14 @@ def test_any_upload_ends_bounded_and_tells_the_truth(
     family=st.sampled_from(sorted(VEHICLES)),
     seed=st.integers(0, 2**32),
     net=st.builds(
-        BadNetwork,
+        Network,
         loss=st.floats(0, 0.25),
         duplicate=st.floats(0, 0.5),
         delay_s=st.tuples(st.floats(0, 0.2), st.floats(0.2, 1.0)),
     ),
     count=st.integers(0, 25),
 )
-def test_any_download_is_exact_or_says_that_it_failed(family: str, seed: int, net: BadNetwork, count: int) -> None:
+def test_any_download_is_exact_or_says_that_it_failed(family: str, seed: int, net: Network, count: int) -> None:
     """A PX4 ends a transfer in which it hears no request for 5 s: with more than 20 % lost each way and delays of a
     second that can happen in each of the rounds (8 of 1000 runs with 25 items at 25 %)."""
     vehicle = VEHICLES[family](items=mission(count))
@@ -330,7 +330,7 @@ def test_a_request_beyond_the_list_is_ignored() -> None:
 
 def test_silence_ends_an_upload_after_a_bounded_number_of_offers() -> None:
     vehicle = Px4Mission()
-    rig = MissionRig(upload(mission(2), vehicle), vehicle, BadNetwork(loss=1.0)).run()
+    rig = MissionRig(upload(mission(2), vehicle), vehicle, Network(loss=1.0)).run()
     assert outcome_of(rig).result == "timeout"
     assert outcome_of(rig).message == (
         f"no request came after {MAX_TRIES} offers; the vehicle keeps the mission it had"
@@ -339,7 +339,7 @@ def test_silence_ends_an_upload_after_a_bounded_number_of_offers() -> None:
 
 
 def test_silence_ends_a_download() -> None:
-    rig = MissionRig(MissionDownload(MissionType.FENCE), Px4Mission(kind=1), BadNetwork(loss=1.0)).run()
+    rig = MissionRig(MissionDownload(MissionType.FENCE), Px4Mission(kind=1), Network(loss=1.0)).run()
     assert outcome_of(rig).message == f"no answer to {MAX_TRIES} requests of the list"
 
 
@@ -383,7 +383,7 @@ def test_clearing_works_over_a_bad_network(family: str, network: str) -> None:
 
 
 def test_an_unanswered_clearing_is_in_doubt() -> None:
-    rig = MissionRig(MissionClear(MissionType.MISSION), Px4Mission(), BadNetwork(loss=1.0)).run()
+    rig = MissionRig(MissionClear(MissionType.MISSION), Px4Mission(), Network(loss=1.0)).run()
     outcome = outcome_of(rig)
     assert (outcome.result, outcome.state, len(rig.sent)) == ("timeout", "unknown", CLEAR_TRIES)
     assert "download it to see" in outcome.message

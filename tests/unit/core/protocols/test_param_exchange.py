@@ -44,31 +44,28 @@ def test_sets_one_and_reads_it_back() -> None:
     assert v.params["NAV_RCL_ACT"].value == 0
 
 
-def test_a_float_is_accepted_as_its_nearest_32_bit_float() -> None:
-    outcome = Wire(vehicle(), Network()).run(ParameterProtocol("MPC_THR_HOVER", Encoding.BYTEWISE, 0.3))
-    assert outcome.ok and outcome.message == "0.5 -> 0.3"
-
-
 def test_what_is_known_saves_the_question() -> None:
     wire = Wire(vehicle(), Network())
     assert wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)).ok
     assert [s.message for s in wire.sent] == ["PARAM_SET"]
 
 
-def test_a_value_that_is_kept_is_a_denial() -> None:
-    outcome = Wire(vehicle(read_only={"NAV_RCL_ACT"}), Network()).run(
-        ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0)
-    )
-    assert (outcome.ok, outcome.result) == (False, "denied")
-    assert outcome.message == "denied: it keeps 2 instead of 0"
-
-
-def test_a_clamped_value_is_told_with_both() -> None:
-    outcome = Wire(vehicle(limits={"MPC_THR_HOVER": (0.1, 0.8)}), Network()).run(
-        ParameterProtocol("MPC_THR_HOVER", Encoding.BYTEWISE, 0.95)
-    )
-    assert (outcome.ok, outcome.result) == (False, "changed")
-    assert outcome.message == "it took 0.8 instead of 0.95 (it was 0.5)"
+@each(
+    ("more", "name", "value", "result", "message"),
+    [
+        ({}, "MPC_THR_HOVER", 0.3, "accepted", "0.5 -> 0.3"),  # as its nearest 32-bit float
+        ({"read_only": {"NAV_RCL_ACT"}}, "NAV_RCL_ACT", 0, "denied", "denied: it keeps 2 instead of 0"),
+        (
+            *({"limits": {"MPC_THR_HOVER": (0.1, 0.8)}}, "MPC_THR_HOVER", 0.95),
+            *("changed", "it took 0.8 instead of 0.95 (it was 0.5)"),
+        ),
+    ],
+)
+def test_what_became_of_a_value_is_told(
+    more: dict[str, Any], name: str, value: float, result: str, message: str
+) -> None:
+    outcome = Wire(vehicle(**more), Network()).run(ParameterProtocol(name, Encoding.BYTEWISE, value))
+    assert (outcome.ok, outcome.result, outcome.message) == (result == "accepted", result, message)
 
 
 @each(("value", "why"), [(1.5, "not whole"), (1 << 31, "not within")])

@@ -17,6 +17,7 @@ from skygcs.core.ros.px4_setpoints import ACK_TYPE, PX4_INPUTS
 from skygcs.core.ros.px4_telemetry import PX4_SOURCES, PX4_TELEMETRY, Px4Memory, px4_samples, versioned
 from skygcs.core.ros.stamps import EPOCH_US
 from support.table import each
+from unit.core.ros.mavros_oracle import of_angles
 
 NOW = 1_700_000_000 * 10**9
 
@@ -56,14 +57,6 @@ def made(name: str, fields: dict[str, Any], memory: Px4Memory, now: int = NOW) -
     return found
 
 
-def body_to_ned(roll: float, pitch: float, yaw: float) -> Any:
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return z @ y @ x
-
-
 def matrix(q: Any) -> Any:
     w, x, y, z = q
     v = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -78,7 +71,7 @@ def test_an_attitude_turns_frd_into_ned(roll: float, pitch: float, yaw: float) -
     memory = Px4Memory(1)
     fields = {"time_boot_ms": 1234, "roll": roll, "pitch": pitch, "yaw": yaw, **RATES}
     attitude = made("ATTITUDE", fields, memory)["vehicle_attitude"]
-    assert matrix(attitude["q"]) == pytest.approx(body_to_ned(roll, pitch, yaw), abs=1e-5)
+    assert matrix(attitude["q"]) == pytest.approx(of_angles(roll, pitch, yaw), abs=1e-5)
     assert attitude["timestamp"] == attitude["timestamp_sample"] == 1_234_000
     heading = made("LOCAL_POSITION_NED", LOCAL, memory)["vehicle_local_position"]["heading"]
     assert math.cos(heading - yaw) == pytest.approx(1, abs=1e-6)
