@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
@@ -17,7 +16,7 @@ from skygcs.core.geo import EnuFrame, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
-from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
+from skygcs.core.monitor.mission_ways import MissionBox, MissionRun, landing_distance_m, mission_box, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
     FORGET,
@@ -63,7 +62,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT, fresh_position
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime.task_set import OWN, TaskSet
+from skygcs.runtime.task_set import OWN, TaskSet, in_short_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
@@ -78,9 +77,6 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
-
-TURN_S = 0.0005
-"""CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -125,6 +121,7 @@ class SeparationMonitor:
         self._serials = itertools.count()
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
+        self._boxes: dict[int, MissionBox] = {}
 
     # -- the watch
 
@@ -145,7 +142,7 @@ class SeparationMonitor:
 
     async def evaluate(self) -> None:
         """Evaluate once. Others get their turn every `TURN_S` of it."""
-        self.took_s, self.longest_turn_s = await _in_turns(self._work())
+        self.took_s, self.longest_turn_s = await in_short_turns(self._work())
 
     def _work(self) -> Iterator[None]:
         """One evaluation and what comes of it; yields where others may have their turn. Holds come first."""
@@ -166,7 +163,7 @@ class SeparationMonitor:
             footprint, priority = self._settings(key, actor)
             self._space(actor)  # so that no order has to wait until those of a fleet are made
             yield Member(actor.vehicle, footprint, priority, self._destination(key), self._trajectory(actor))
-        for table in (self._footprints, self._spaces):
+        for table in (self._footprints, self._spaces, self._boxes):
             for key in table.keys() - self._actors.keys():
                 del table[key]
 
@@ -335,7 +332,7 @@ class SeparationMonitor:
             end_s = max(end_s, left_s(flight.clock, now))
         # compare them, in turns with other tasks
         found: dict[int, str] = {}
-        await _in_turns(find_conflicts(movers, others, end_s, found))
+        await in_short_turns(find_conflicts(movers, others, end_s, found))
         refused = ((actor, self._refusal(found.get(actor.vehicle.key))) for actor in starting)
         return {actor: why for actor, why in refused if why is not None}
 
@@ -395,7 +392,7 @@ class SeparationMonitor:
     async def _way_refusals(self, ways: Mapping[VehicleActor, Way], others: Sequence[Way]) -> dict[VehicleActor, str]:
         """Which of these ways lead too near each other or to others, in turns with other tasks."""
         found: dict[int, str] = {}
-        await _in_turns(find_way_conflicts(list(ways.values()), others, found))
+        await in_short_turns(find_way_conflicts(list(ways.values()), others, found))
         refused = ((actor, self._refusal(found.get(way.key))) for actor, way in ways.items())
         return {actor: why for actor, why in refused if why is not None}
 
@@ -524,7 +521,8 @@ class SeparationMonitor:
                 continue
             place = self._goes_to(actor, track)
             if place is None:
-                yield from self._trajectory_way(actor, track, mover, to) or self._goes_on(actor, track, frame)
+                if not self._mission_is_far(actor, track, mover, to):
+                    yield from self._trajectory_way(actor, track, mover, to) or self._goes_on(actor, track, frame)
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
             comes = self._comes_home(actor, track) is not None
@@ -547,6 +545,20 @@ class SeparationMonitor:
         points = turning_points(here, velocity, track.turns_m, here)[:2]
         way = Way(track.key, track.name, track.footprint, sloped(points), self._ball_m(track))
         return [way] if len(points) > 1 else []
+
+    def _mission_is_far(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> bool:
+        """True if it flies a mission that is not near a straight way: most of a fleet's."""
+        key, items, home = track.key, actor.missions.items, actor.vehicle.telemetry("home")
+        if not items or home is None or actor.vehicle.mode not in MISSION_MODES:
+            return False
+        base, box = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]), self._boxes.get(key)
+        if box is None or box.items is not items or box.home != base:
+            box = self._boxes[key] = mission_box(items, base)
+        margin = pair_margin(mover.footprint, track.footprint)
+        need_m = (
+            (margin.total_m + self._ball_m(track)) * max(1.0, margin.downwash_ratio) + mover.turns_m + track.turns_m
+        )
+        return box.is_apart((ecef(*mover.here), ecef(*to)), track.ecef_m, need_m, known_return_height(actor.vehicle))
 
     def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> list[Way]:
         """The way that a vehicle has still to fly on its trajectory, if it follows one, as far as it may be near a way
@@ -683,18 +695,3 @@ def _ahead(here_m: Vector, track: Track) -> list[Vector]:
         return []
     x, y, z = (p + v * HORIZON_S for p, v in zip(here_m, track.reported_mps, strict=True))
     return [(x, y, z)]
-
-
-async def _in_turns(work: Iterator[None]) -> tuple[float, float]:
-    """Do it, so that others have their turn every `TURN_S`; its CPU time, and the longest part of that at a stretch."""
-    took_s = longest_s = 0.0
-    begun = time.thread_time()
-    for _ in work:
-        turn_s = time.thread_time() - begun
-        if turn_s < TURN_S:
-            continue
-        took_s, longest_s = took_s + turn_s, max(longest_s, turn_s)
-        await asyncio.sleep(0)
-        begun = time.thread_time()
-    turn_s = time.thread_time() - begun
-    return took_s + turn_s, max(longest_s, turn_s)
