@@ -70,6 +70,7 @@ async def test_a_formation_is_formed_moved_turned_scaled_and_stopped(tmp_path: P
         since, names = gcs.now, NAMES[:3]
         answer = await gcs("formation.start", targets=names, shape="v", spacing_m=8.0)
         assert answer["state"] == "flying"
+        gcs.daemon.extensions["formation"].tick(gcs.now)  # at the moment of its begin it divided by no time
         await at_places(gcs)
         await gcs("formation.move", to_enu_m=[20.0, 10.0, 14.0])
         await at_places(gcs)

@@ -39,6 +39,30 @@ async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind
         assert any("it climbs by" in text for name in ("v1", "v2") for text in gcs.texts(since, "command", name))
 
 
+@pytest.mark.parametrize("kind", [{"px4": 3}, {"px4": 0, "ardupilot": 3}], ids=["px4", "ardupilot"])
+async def test_one_that_waits_where_another_one_flies_through_gets_out_of_its_way(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    """It held there until the other one had flown into it (random flight 54). Its climb is a way, too."""
+    async with aloft(tmp_path, **kind) as gcs:
+        for name, x, y, up in (("v3", 10.0, 25.0, 18.0), ("v2", 20.0, 0.0, 10.0)):
+            await gcs.done("vehicles.goto", targets=name, enu_m=[x, y, up], force=True)
+        await asyncio.sleep(18.0)
+        await gcs.fly("position", "v1")
+        (x, y, up), t = gcs.place("v1"), 80.0
+        along = [x, 0.0, 3 * 40.0 / t**2, -2 * 40.0 / t**3]
+        await gcs("trajectory.load", target="v1", pieces=[{"duration_s": t, "x": along, "y": [y], "up": [up]}])
+        await gcs.done("trajectory.start", targets="v1", force=True)
+        since = gcs.now
+        outcome = await gcs.outcome("vehicles.rtl", "v2")
+        assert "it holds until v1 is out of its way home" in outcome["message"]
+        await gcs.until(lambda: any("it climbs by" in text for text in gcs.texts(since, "command", "v2")))
+        refused = await gcs.outcome("vehicles.goto", "v3", enu_m=[30.0, -25.0, 18.0])
+        assert refused["result"] == "refused" and "near v2" in refused["message"], refused
+        await gcs.until(lambda: gcs.place("v1")[0] > 35.0, 80.0)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
 @pytest.mark.deep
 async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> None:
     settings = {"operator_timeout_s": 20.0, "operator_lost": "rtl"}

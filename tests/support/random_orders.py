@@ -8,12 +8,13 @@ order* if the newest that moves one of the two was accepted without ``force``, a
 
     newest of the two                       judged                               not judged, as docs/explanation say
     -------------------------------------   ----------------------------------   ---------------------------------------
-    goto, take-off, trajectory, formation   the other stands, flies where it     the other flies a mission, or what a
-                                            was sent, comes home or down         client streams: they go on after the
-                                                                                 10 s that are looked at
+    goto, take-off, trajectory              the other stands, flies where it     a client streams to the other: it goes
+                                            was sent, comes home or down, or     on after the 10 s that are looked at
+                                            flies its mission
+    formation                               the other as above, but for missions a mission, which goes on as well
     mission, by whatever order              the other as above, or on its own    -
-    rtl of one or several, its mode         the other is in the air              the other flies a mission; insisted on;
-                                                                                 it waits, which is a hold
+    rtl of one or several, its mode; also   the other is in the air              the other flies a mission; insisted on
+    where it waits
     velocity, as a stream                   the other stands                     the other moves
     hold, stop, land, a pilot's, ``force``  -                                    all: nothing refuses these
 
@@ -42,7 +43,7 @@ from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim import vehicle_group
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import FIELD, GOING_HOME, SEEN_S, Flown, Truth, flown, put_up
+from support.flown import FIELD, SEEN_S, Flown, Truth, flown, put_up
 from support.made_files import waypoints
 from support.planned import MARGIN_M
 from support.random_flights import Deeds, Judged
@@ -61,8 +62,11 @@ ALOFT_M = 0.5
 
 CHECKED = frozenset({"goto", "takeoff", "trajectory", "mission", "rtl", "formation", "velocity"})
 
-GOES_ON = frozenset({"mission", "velocity"})
-"""Their ways are looked at for 10 s by what is not a mission."""
+GOES_ON: dict[str, frozenset[str]] = {
+    "mission": frozenset({"rtl", "formation", "velocity"}),
+    "velocity": CHECKED - {"mission"},
+}
+"""By what the older order began: newer ones that look at it for 10 s."""
 
 STANDS_MPS = 0.3
 
@@ -436,14 +440,12 @@ def _because_of(
         return None
     if newer.free or newer.kind not in CHECKED or older is newer:
         return None
-    if newer.kind != "mission" and older.kind in GOES_ON:
+    if newer.kind in GOES_ON.get(older.kind, ()):
         return None
     if newer.kind == "rtl" and (a.landed or b.landed):
         return None
-    its, others = (a, b) if newer is f.newest(name, a.at) else (b, a)
+    others = b if newer is f.newest(name, a.at) else a
     if newer.kind == "velocity" and math.hypot(*others.vel_mps) > STANDS_MPS:
-        return None
-    if newer.kind == "rtl" and its.mode not in GOING_HOME and math.hypot(*its.vel_mps) < STANDS_MPS:
         return None
     then = next((apart_m(p, q) for p, q in looks if p.at >= newer.at), math.inf)
     return None if apart_m(a, b) > then - TOLERANCE_M else (older, newer)

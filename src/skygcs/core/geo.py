@@ -37,6 +37,9 @@ REACH_M = 100_000.0
 """No vehicle of these fleets flies so far on one battery: what is farther away is a mistake, which no force insists on.
 At this distance the flat frame of the fleet is 800 m above the ground."""
 
+HIGHEST_M = 100_000.0
+"""Nobody flies higher, or is as deep; what says so is not a position."""
+
 NO_PLACE_E7 = 0x7FFFFFFF
 """INT_MAX: "not known" of a latitude or longitude."""
 
@@ -51,6 +54,11 @@ def is_no_place(lat_e7: int, lon_e7: int) -> bool:
     """True for the latitude and longitude (degrees * 1e7) that autopilots report before they have a position."""
     nowhere = abs(lat_e7) <= NOWHERE_E7 and abs(lon_e7) <= NOWHERE_E7
     return nowhere or NO_PLACE_E7 in (lat_e7, lon_e7)
+
+
+def is_on_earth(lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bool:
+    """True for a place at which a vehicle may be; false also for NaN."""
+    return abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_amsl_m) <= HIGHEST_M
 
 
 def is_nowhere(lat_deg: float, lon_deg: float) -> bool:

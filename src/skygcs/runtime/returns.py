@@ -532,9 +532,13 @@ class Returns:
         height_m = alt_amsl_m - (0.0 if home_amsl_m is None else home_amsl_m)
         where: Where = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "force": True}
         limit_m = actor.config.goto_limit_m
-        outcome = await actor.runner.run(
-            "goto", lambda now: replace(goto(actor.vehicle, now, limit_m=limit_m, **where), spares=COMING_HOME)
-        )
+        sent, outcome = self._monitor.sent_to(actor, (lat_deg, lon_deg, alt_amsl_m)), Outcome.refused("it ended")
+        try:
+            outcome = await actor.runner.run(
+                "goto", lambda now: replace(goto(actor.vehicle, now, limit_m=limit_m, **where), spares=COMING_HOME)
+            )
+        finally:
+            self._monitor.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
         waits.goal_m = goal_m if outcome.ok else None
         self._ordered(waits, outcome)
 

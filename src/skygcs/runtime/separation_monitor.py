@@ -6,8 +6,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ from skygcs.core.geo import EnuFrame, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
-from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
+from skygcs.core.monitor.mission_ways import MissionBox, MissionRun, landing_distance_m, mission_box, mission_way
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
     FORGET,
@@ -30,13 +29,18 @@ from skygcs.core.monitor.order_check import (
     find_conflicts,
     goto_conflict,
     holding_disc,
+    left_s,
+    meant,
     mover_frame,
     of_track,
     on_trajectory,
+    places_in,
+    places_on,
     setpoint_conflict,
     space_conflict,
     takeoff_conflict,
     turning,
+    turning_points,
 )
 from skygcs.core.monitor.tracks import (
     PLAN_STEP_S,
@@ -55,10 +59,10 @@ from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.mission_orders import MISSION_MODES, current_item
 from skygcs.core.vehicle.orders import FORCE_HINT, fresh_position
-from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime.task_set import OWN, TaskSet
+from skygcs.runtime.task_set import OWN, TaskSet, in_short_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
@@ -73,9 +77,6 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
-
-TURN_S = 0.0005
-"""CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -120,6 +121,7 @@ class SeparationMonitor:
         self._serials = itertools.count()
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
+        self._boxes: dict[int, MissionBox] = {}
 
     # -- the watch
 
@@ -140,7 +142,7 @@ class SeparationMonitor:
 
     async def evaluate(self) -> None:
         """Evaluate once. Others get their turn every `TURN_S` of it."""
-        self.took_s, self.longest_turn_s = await _in_turns(self._work())
+        self.took_s, self.longest_turn_s = await in_short_turns(self._work())
 
     def _work(self) -> Iterator[None]:
         """One evaluation and what comes of it; yields where others may have their turn. Holds come first."""
@@ -161,7 +163,7 @@ class SeparationMonitor:
             footprint, priority = self._settings(key, actor)
             self._space(actor)  # so that no order has to wait until those of a fleet are made
             yield Member(actor.vehicle, footprint, priority, self._destination(key), self._trajectory(actor))
-        for table in (self._footprints, self._spaces):
+        for table in (self._footprints, self._spaces, self._boxes):
             for key in table.keys() - self._actors.keys():
                 del table[key]
 
@@ -290,7 +292,7 @@ class SeparationMonitor:
         mover = self._mover(vehicle)
         if mover is None:
             return None
-        place, velocity = _meant(mover, setpoint)
+        place, velocity = meant(mover, setpoint)
         others = self._others(together, sent=False)
         return self._refusal(setpoint_conflict(mover, place, velocity, others, self._loop.time()))
 
@@ -308,9 +310,9 @@ class SeparationMonitor:
         others: list[Course | Way] = []
         for actor, loaded in starting.items():
             movers.append(
-                on_trajectory(actor.vehicle, self.footprint(actor), loaded, clock, _places(loaded, clock, now))
+                on_trajectory(actor.vehicle, self.footprint(actor), loaded, clock, places_on(loaded, clock, now))
             )
-            end_s = max(end_s, _left_s(clock, now))
+            end_s = max(end_s, left_s(clock, now))
         # all other vehicles: on trajectories of their own, or on their courses
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             other = self._actors.get(key)
@@ -322,13 +324,15 @@ class SeparationMonitor:
                     others.append(of_track(track, frame, now))
                 if self._goes_to(other, track) is not None:
                     others.append(self._way_left(other, track, frame))
+                else:
+                    others += self._goes_on(other, track, frame)
                 continue
-            at = _places_in(frame, local, flight, now)
+            at = places_in(frame, local, flight, now)
             others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
-            end_s = max(end_s, _left_s(flight.clock, now))
+            end_s = max(end_s, left_s(flight.clock, now))
         # compare them, in turns with other tasks
         found: dict[int, str] = {}
-        await _in_turns(find_conflicts(movers, others, end_s, found))
+        await in_short_turns(find_conflicts(movers, others, end_s, found))
         refused = ((actor, self._refusal(found.get(actor.vehicle.key))) for actor in starting)
         return {actor: why for actor, why in refused if why is not None}
 
@@ -343,9 +347,7 @@ class SeparationMonitor:
             waits = track.parked and self._destination(key) is None
             if actor is None or actor in starting or waits or frame is None:
                 continue
-            flown = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
-            way = None if flown is None else self._mission_way(actor, MissionRun(flown, current_item(actor.vehicle)))
-            others.append(way or self._way_left(actor, track, frame))
+            others.append(self._flown_mission(actor, frame) or self._way_left(actor, track, frame))
         return await self._way_refusals(ways, others) | self._landing_refusals(ways)
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
@@ -382,7 +384,7 @@ class SeparationMonitor:
         """The ways of missions, of those that are known; others get their turn after each of them."""
         ways: dict[VehicleActor, Way] = {}
         for actor, run in runs.items():
-            if (way := self._mission_way(actor, run)) is not None:
+            if (frame := self.monitor.tracks.frame) and (way := self._mission_way(actor, run, frame)):
                 ways[actor] = way
             await asyncio.sleep(0)
         return ways
@@ -390,14 +392,19 @@ class SeparationMonitor:
     async def _way_refusals(self, ways: Mapping[VehicleActor, Way], others: Sequence[Way]) -> dict[VehicleActor, str]:
         """Which of these ways lead too near each other or to others, in turns with other tasks."""
         found: dict[int, str] = {}
-        await _in_turns(find_way_conflicts(list(ways.values()), others, found))
+        await in_short_turns(find_way_conflicts(list(ways.values()), others, found))
         refused = ((actor, self._refusal(found.get(way.key))) for actor, way in ways.items())
         return {actor: why for actor, why in refused if why is not None}
 
-    def _mission_way(self, actor: VehicleActor, run: MissionRun) -> Way | None:
+    def _flown_mission(self, actor: VehicleActor, frame: EnuFrame) -> Way | None:
+        """The rest of the mission that a vehicle flies; None: it flies none, or none that is known."""
+        items = actor.missions.items if actor.vehicle.mode in MISSION_MODES else None
+        return self._mission_way(actor, MissionRun(items, current_item(actor.vehicle)), frame) if items else None
+
+    def _mission_way(self, actor: VehicleActor, run: MissionRun, frame: EnuFrame) -> Way | None:
         """The way of a mission from where its vehicle is; None: that is not known."""
-        mover, home, frame = self._mover(actor.vehicle), actor.vehicle.telemetry("home"), self.monitor.tracks.frame
-        if mover is None or frame is None:
+        mover, home = self._mover(actor.vehicle), actor.vehicle.telemetry("home")
+        if mover is None:
             return None
         alt_m = actor.vehicle.home_alt_amsl_m()
         base = mover.here if alt_m is None else (*mover.here[:2], alt_m)
@@ -410,7 +417,8 @@ class SeparationMonitor:
             run = run._replace(height=known_return_height(vehicle))
         way = mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m)
         here, first = frame.from_geodetic(*mover.here), way.legs[min(1, len(way.legs) - 1)]
-        turns = _turning(mover, here, mover.velocity_mps, (*first.end, here[2]))
+        velocity = world_from_enu(mover.velocity_mps, frame.origin)
+        turns = _turning(mover, here, velocity, (*first.end, here[2]))
         return replace(way, legs=(*way.legs, *turns)) if turns else way
 
     def present_ways(
@@ -421,13 +429,31 @@ class SeparationMonitor:
         pads are often nearer to each other than what flies needs."""
         for key, track in self.monitor.tracks.tracks.items() if self.mode != "off" else ():
             actor = self._actors.get(key)
-            if actor is None or key in without or not actor.vehicle.connected or (track.parked and not parked):
+            waits = track.parked and self._destination(key) is None
+            if actor is None or key in without or not actor.vehicle.connected or (waits and not parked):
                 continue
             way = self._present_way(actor, track, frame)
             (west, east, south, north), (low_m, high_m) = way.box, way.heights
             stays = math.hypot(east - west, north - south, high_m - low_m) <= ARRIVED_M
             led = actor.offboard.flying or actor.vehicle.mode in MISSION_MODES
-            yield way, track.parked or (stays and not led)
+            yield way, waits or (stays and not led)
+
+    def why_leaving(self, actor: VehicleActor) -> str | None:
+        """Why a vehicle that stands is not to be taken to stay there, in words; None: nobody has sent it anywhere."""
+        vehicle, now, place = actor.vehicle, self._loop.time(), self._destination(actor.vehicle.key)
+        if self.mode == "off":
+            return None
+        here, controller, space = fresh_position(vehicle, now), actor.offboard.controller, self._space(actor)
+        if place is not None and (here is None or math.dist(ecef(*here), ecef(*place)) > ARRIVED_M):
+            return "was sent elsewhere"
+        if not is_flying(vehicle, now):
+            return None
+        if vehicle.mode in COMING_HOME or vehicle.mode in MISSION_MODES:
+            return f"goes on by itself ({vehicle.mode})"
+        if space is not None and space.left(now):
+            return "is on its trajectory"
+        led = actor.offboard.flying and (controller.streaming or actor.program is not None)
+        return "is flown by a program" if led else None
 
     def _present_way(self, actor: VehicleActor, track: Track, frame: EnuFrame, *, ahead: bool = True) -> Way:
         """Where a vehicle is, and the way to where skygcs has sent it, else (``ahead``) where it flies straight on. Not
@@ -495,7 +521,8 @@ class SeparationMonitor:
                 continue
             place = self._goes_to(actor, track)
             if place is None:
-                yield from self._trajectory_way(actor, track, mover, to)
+                if not self._mission_is_far(actor, track, mover, to):
+                    yield from self._trajectory_way(actor, track, mover, to) or self._goes_on(actor, track, frame)
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
             comes = self._comes_home(actor, track) is not None
@@ -507,12 +534,38 @@ class SeparationMonitor:
             # its circle is compared at its end
             yield way if comes else replace(way, ball_m=ball_m)
 
-    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> Iterator[Way]:
+    def _goes_on(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
+        """The space, if it has any, of a vehicle that flies otherwise than where it was sent: all of its mission, or as
+        far as it flies on before it stands, as it may stop at any time."""
+        if track.parked or track.lost:
+            return []
+        if (way := self._flown_mission(actor, frame)) is not None:
+            return [way]
+        here, velocity = frame.from_ecef(track.ecef_m), _along(track, frame)
+        points = turning_points(here, velocity, track.turns_m, here)[:2]
+        way = Way(track.key, track.name, track.footprint, sloped(points), self._ball_m(track))
+        return [way] if len(points) > 1 else []
+
+    def _mission_is_far(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> bool:
+        """True if it flies a mission that is not near a straight way: most of a fleet's."""
+        key, items, home = track.key, actor.missions.items, actor.vehicle.telemetry("home")
+        if not items or home is None or actor.vehicle.mode not in MISSION_MODES:
+            return False
+        base, box = (home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]), self._boxes.get(key)
+        if box is None or box.items is not items or box.home != base:
+            box = self._boxes[key] = mission_box(items, base)
+        margin = pair_margin(mover.footprint, track.footprint)
+        need_m = (
+            (margin.total_m + self._ball_m(track)) * max(1.0, margin.downwash_ratio) + mover.turns_m + track.turns_m
+        )
+        return box.is_apart((ecef(*mover.here), ecef(*to)), track.ecef_m, need_m, known_return_height(actor.vehicle))
+
+    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> list[Way]:
         """The way that a vehicle has still to fly on its trajectory, if it follows one, as far as it may be near a way
         to that place."""
         space = None if track.parked or track.lost else self._space(actor)
         if space is None:
-            return
+            return []
         frame, margin = mover_frame(mover), pair_margin(mover.footprint, track.footprint)
         ball_m = self._ball_m(track) + space.bow_m
         need_m = (margin.total_m + ball_m) * max(1.0, margin.downwash_ratio) + mover.turns_m
@@ -522,9 +575,8 @@ class SeparationMonitor:
             for part in space.left_near(ends, need_m, self._loop.time())
             for leg in sloped([frame.from_ecef(point) for point in part])
         )
-        if legs:
-            legs = (*standing(frame.from_ecef(track.ecef_m)), *legs)
-            yield Way(track.key, track.name, track.footprint, legs, ball_m, "on its trajectory")
+        legs = (*standing(frame.from_ecef(track.ecef_m)), *legs)
+        return [Way(track.key, track.name, track.footprint, legs, ball_m, "on its trajectory")]
 
     def _ball_m(self, track: Track) -> float:
         """How far it may be from where it was seen last."""
@@ -542,7 +594,7 @@ class SeparationMonitor:
             return None
         now = self._loop.time()
         here, position = fresh_position(vehicle, now), vehicle.telemetry("position")
-        if here is None or position is None or abs(here[0]) > 90.0:
+        if here is None or position is None:
             return None
         circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
         east, north, up = position["vel_enu_mps"]
@@ -643,43 +695,3 @@ def _ahead(here_m: Vector, track: Track) -> list[Vector]:
         return []
     x, y, z = (p + v * HORIZON_S for p, v in zip(here_m, track.reported_mps, strict=True))
     return [(x, y, z)]
-
-
-async def _in_turns(work: Iterator[None]) -> tuple[float, float]:
-    """Do it, so that others have their turn every `TURN_S`; its CPU time, and the longest part of that at a stretch."""
-    took_s = longest_s = 0.0
-    begun = time.thread_time()
-    for _ in work:
-        turn_s = time.thread_time() - begun
-        if turn_s < TURN_S:
-            continue
-        took_s, longest_s = took_s + turn_s, max(longest_s, turn_s)
-        await asyncio.sleep(0)
-        begun = time.thread_time()
-    turn_s = time.thread_time() - begun
-    return took_s + turn_s, max(longest_s, turn_s)
-
-
-def _left_s(clock: TrajectoryClock, now: float) -> float:
-    """Until it has come to its end; 0 if it does not run."""
-    finishes_at_s = clock.finishes_at_s(now)
-    return 0.0 if finishes_at_s is None else max(0.0, finishes_at_s - now)
-
-
-def _places(loaded: LoadedTrajectory, clock: TrajectoryClock, now: float) -> Callable[[float], Vector]:
-    """Places of a vehicle on a trajectory, so many seconds from now, in the world's frame."""
-    return lambda after_s: loaded.trajectory.at(clock.foreseen_s(now + after_s)).pos_enu_m
-
-
-def _places_in(frame: EnuFrame, local: EnuFrame, flight: TrajectoryFlight, now: float) -> Callable[[float], Vector]:
-    """The places of a vehicle that flies its trajectory already, which stands on earth."""
-    return lambda after_s: frame.from_geodetic(*local.to_geodetic(*flight.foreseen(now + after_s)))
-
-
-def _meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, float, float]]:
-    """The place that a setpoint leads to, and its velocity. An axis without a place is where the velocity leads it."""
-    place, velocity = setpoint.place, setpoint.vel_enu_mps or (0.0, 0.0, 0.0)
-    if place is None or setpoint.free_xy:
-        return None, velocity
-    height_m = mover.here[2] if setpoint.free_z else place.alt_amsl_m
-    return (place.lat_deg, place.lon_deg, height_m), velocity

@@ -79,7 +79,7 @@ async def test_a_full_fleet_at_one_place_is_evaluated_in_turns_and_bounded() -> 
 
 
 async def test_the_reports_of_a_crowd_are_published_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skygcs.runtime.separation_monitor.TURN_S", 0.0)
+    monkeypatch.setattr("skygcs.runtime.task_set.TURN_S", 0.0)
     sky = Sky(60)
     turns, at = 0, list[int]()
 

@@ -12,6 +12,7 @@ have changed places would descend through each other, whatever their heights.
     not clear of one that is under way, or that is there           waits until that one is out of its way
     not clear of one that stays: it holds at the end of its        climbs where it stands, if its way is clear above
     return, or where it is, and was not ordered to return          that one; else it is stuck
+    not clear, and somebody else's way leads through its place     climbs where it stands above that way
 
 Nobody climbs above the ceiling of its own fence, where the autopilot would act. What stands below one that waits,
 nearer than they need, does not keep it there: it climbs away from that. It is asked again a few times a second with the
@@ -30,7 +31,7 @@ from skygcs.core.mavlink.vehicle_class import HeightParam
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.monitor.ways import Leg, Way, column, needed_m, standing, too_near
+from skygcs.core.monitor.ways import Leg, Way, beginning, column, leads_on, needed_m, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -254,7 +255,8 @@ def departing(
         yield
     space = [*moving, *leaving.values(), *fixed]
     fenced = set[int]()
-    climb = yield from _climbs(ordered, blocked, space, fenced)
+    aside = yield from _out_of_ways(ordered, blocked, space, stays, fenced)
+    climb = aside or (yield from _climbs(ordered, blocked, space, fenced))
     over, stuck = yield from _over_those_that_stay(ordered, blocked, space, stays, fenced)
     waits_for = {
         key: tuple(dict.fromkeys((*(way.name for way in taken), *(other.name for other in there))))
@@ -307,6 +309,41 @@ def _climbs(
     return {}
 
 
+def _out_of_ways(
+    ordered: Sequence[Returning],
+    blocked: Mapping[int, tuple[list[Way], list[Returning]]],
+    taken: Sequence[Way],
+    stays: Collection[int],
+    fenced: set[int],
+) -> Generator[None, None, dict[int, float]]:
+    """One that waits where a way of another leads through, and the height at which it is above all such ways. It sets
+    out while whoever comes is not at its column yet."""
+    for one in ordered:
+        if one.key not in blocked:
+            continue
+        yield
+        through = [way for way in taken if way.key not in stays and too_near(one.place(), way) and leads_on(way)]
+        goals = [_height_above(one, way) for way in through]
+        if not goals or math.isinf(max(goals)):
+            continue
+        goal_m = max(goals)
+        if goal_m + one.height.climb_m > one.ceiling_m:
+            fenced.add(one.key)
+            continue
+        up = replace(one, goal_m=goal_m).place()
+        rest = [beginning(way) if way in through else way for way in taken]
+        rest += [other.place() for other in ordered if other.key != one.key]
+        if not any(too_near(up, way) for way in rest):
+            return {one.key: goal_m}
+    return {}
+
+
+def _height_above(one: Returning, way: Way) -> float:
+    """The height at which one that returns is above the whole of a way."""
+    ratio = pair_margin(one.footprint, way.footprint).downwash_ratio
+    return way.heights[1] + ratio * needed_m(one.way(), way) + ABOVE_M
+
+
 def _over_those_that_stay(
     ordered: Sequence[Returning],
     blocked: Mapping[int, tuple[list[Way], list[Returning]]],
@@ -322,10 +359,7 @@ def _over_those_that_stay(
         if not staying or math.isinf(one.highest_m) or math.hypot(*one.velocity_mps[:2]) > STANDS_MPS:
             continue
         yield
-        goal_m = one.here[2]
-        for way in staying:
-            ratio = pair_margin(one.footprint, way.footprint).downwash_ratio
-            goal_m = max(goal_m, way.heights[1] + ratio * needed_m(one.way(), way) + ABOVE_M)
+        goal_m = max(one.here[2], *(_height_above(one, way) for way in staying))
         raised = replace(one, here=(*one.here[:2], goal_m))
         low = goal_m + one.height.climb_m > one.ceiling_m
         if low:

@@ -18,7 +18,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from skygcs.core.geo import EnuFrame
+from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.mission.item import FIRST_ITEM, GLOBAL, MissionItem
@@ -26,7 +26,7 @@ from skygcs.core.mission.plan import FLOWN_PLACE, RADIUS_PARAM, TAKEOFFS
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.tracks import Place
-from skygcs.core.monitor.ways import Leg, Point, Way, along, column
+from skygcs.core.monitor.ways import Leg, Point, Way, along, are_apart, column
 from skygcs.core.separation import Footprint
 
 JUMPS = frozenset({mav_cmd.DO_JUMP, mav_cmd.DO_JUMP_TAG})
@@ -96,6 +96,35 @@ def _legs(run: MissionRun, here: Place, home: Place, frame: EnuFrame) -> tuple[l
                 visited.add((following, after))
                 to_visit.append((following, after))
     return legs, widest_m
+
+
+class MissionBox(NamedTuple):
+    """The places of a mission on board as a box, earth-centred: made once, to leave out what is far away."""
+
+    items: Sequence[MissionItem]
+    home: Place
+    low: Vector
+    high: Vector
+    beside_m: float
+    """How far from the box it leads, by heights and circles, but for returns."""
+
+    def is_apart(self, ends: tuple[Vector, Vector], here: Vector, need_m: float, height: ReturnHeight) -> bool:
+        """True if the way of a vehicle from ``here`` along the mission keeps clear of a straight line."""
+        returns = MissionRun(self.items).returns
+        away_m = need_m + self.beside_m + (height.most_m + height.climb_m if returns else 0.0)
+        (a, b, c), (d, e, f), (x, y, z) = self.low, self.high, here
+        box = (min(a, x), min(b, y), min(c, z)), (max(d, x), max(e, y), max(f, z))
+        return are_apart(ends, box, (away_m, away_m, away_m))
+
+
+def mission_box(items: Sequence[MissionItem], home: Place) -> MissionBox:
+    """The box of a mission on board a vehicle with this home."""
+    places = [home, *((*item.position, home[2]) for item in items if item.position is not None)]
+    points = [ecef(*place) for place in places]
+    heights = [abs((item.z or 0.0) - (home[2] if item.frame == GLOBAL else 0.0)) for item in items]
+    beside_m = max(heights, default=0.0) + max(map(_radius_m, items), default=0.0)
+    (a, b, c), (d, e, f) = ([pick(point[axis] for point in points) for axis in range(3)] for pick in (min, max))
+    return MissionBox(items, home, (a, b, c), (d, e, f), beside_m)
 
 
 def jump_target(items: Sequence[MissionItem], jump: MissionItem) -> int | None:

@@ -52,6 +52,7 @@ from skygcs.core.monitor.ways import (
     Way,
     along,
     are_apart,
+    beginning,
     conflict_text,
     distance_m,
     needed_m,
@@ -62,6 +63,7 @@ from skygcs.core.monitor.ways import (
 )
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
+from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -182,6 +184,15 @@ def setpoint_conflict(
     return _conflict(mover, frame, path, others, now)
 
 
+def meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, float, float]]:
+    """The place that a setpoint leads to, and its velocity. An axis without a place is where the velocity leads it."""
+    place, velocity = setpoint.place, setpoint.vel_enu_mps or (0.0, 0.0, 0.0)
+    if place is None or setpoint.free_xy:
+        return None, velocity
+    height_m = mover.here[2] if setpoint.free_z else place.alt_amsl_m
+    return (place.lat_deg, place.lon_deg, height_m), velocity
+
+
 def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False) -> str | None:
     """With which of these ways (in `mover_frame`) the straight way to a place conflicts, in words, whichever of the two
     is where; None: with none. ``strict``: although it is not nearer there than it is."""
@@ -198,7 +209,7 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
         if (
             not strict
             and _comes_no_nearer(here, mine, way)
-            and _comes_no_nearer(here, mine, _begin(way), or_clear=True)
+            and _comes_no_nearer(here, mine, beginning(way), or_clear=True)
         ):
             continue
         if worst is None or near_m < worst[0]:
@@ -210,16 +221,11 @@ def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool
 
 
 def _comes_no_nearer(here: Way, mine: Way, other: Way, *, or_clear: bool = False) -> bool:
-    """True if it is too near already, and its way does not come nearer; ``or_clear``: or that way keeps clear."""
+    """True if it is too near already, and its way does not come nearer; ``or_clear``: or that way keeps clear. False
+    if that is not known."""
     if or_clear and not too_near(mine, other):
         return True
-    return too_near(here, other) and distance_m(mine, other) > distance_m(here, other) - NEARER_M
-
-
-def _begin(way: Way) -> Way:
-    """Where the vehicle of a way is now."""
-    first = way.legs[0]
-    return replace(way, legs=(first._replace(end=first.begin),))
+    return other.is_known and too_near(here, other) and distance_m(mine, other) > distance_m(here, other) - NEARER_M
 
 
 def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
@@ -422,6 +428,22 @@ def on_trajectory(
     )
 
 
+def left_s(clock: TrajectoryClock, now: float) -> float:
+    """Until it has come to its end; 0 if it does not run."""
+    finishes_at_s = clock.finishes_at_s(now)
+    return 0.0 if finishes_at_s is None else max(0.0, finishes_at_s - now)
+
+
+def places_on(loaded: LoadedTrajectory, clock: TrajectoryClock, now: float) -> Callable[[float], Vector]:
+    """Places of a vehicle on a trajectory, so many seconds from now, in the world's frame."""
+    return lambda after_s: loaded.trajectory.at(clock.foreseen_s(now + after_s)).pos_enu_m
+
+
+def places_in(frame: EnuFrame, local: EnuFrame, flight: TrajectoryFlight, now: float) -> Callable[[float], Vector]:
+    """The places of a vehicle that flies its trajectory already, which stands on earth."""
+    return lambda after_s: frame.from_geodetic(*local.to_geodetic(*flight.foreseen(now + after_s)))
+
+
 def of_track(track: Track, frame: EnuFrame, now: float) -> Course:
     """The course of a vehicle that is watched: it stands, or flies straight on for the horizon. ``frame``: the common
     one."""
@@ -525,6 +547,8 @@ def _nearest(
 ) -> Generator[None, None, tuple[float, float, float] | None]:
     """Returns (distance, when, what they need) where two come nearest, if that is too near; or None."""
     pair = _BesideWay(a, b) if isinstance(b, Way) else _TwoCourses(a, b)
+    if isinstance(b, Way) and not b.is_known:
+        return 0.0, 0.0, pair.need_m
     need_m, bow, closing_mps, end_s = pair.need_m, pair.bow_m, pair.closing_mps, min(end_s, pair.known_s)
     here = pair.place(0.0)
     begun_m = pair.distance_m(here)
@@ -552,7 +576,7 @@ def _nearest(
     if begun_m >= need_m or least_m <= begun_m - NEARER_M:
         return least_m, least_s, need_m
     # it may leave the way of another, but not to where that one is
-    return (yield from _nearest(a, _begin(b), end_s, count)) if isinstance(b, Way) and b != _begin(b) else None
+    return (yield from _nearest(a, beginning(b), end_s, count)) if isinstance(b, Way) and b != beginning(b) else None
 
 
 class _TwoCourses:

@@ -5,7 +5,7 @@
     is armed, unless it reports itself on the ground    flying: watched against all others
     is disarmed but shows signs of flight               flying; its height is no sign while it reports the ground
     is disarmed, or armed on the ground                 parked: an obstacle at rest for what flies, not for one another
-    reports no position, or an impossible one           not watched
+    reports no position, or an impossible one           not watched; one that was seen before: as silent from then on
     flies and has been silent for `TRACK_SILENT_S`      lost: not watched any more, an obstacle for orders
     shares its system id on one link, is a recording    not watched: where it is is not known
 
@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from skygcs.core.geo import EnuFrame, Origin, ecef
+from skygcs.core.geo import EnuFrame, Origin, ecef, is_on_earth
 from skygcs.core.monitor.approach import REST, Piece, Vector, arc, turn_radps
 from skygcs.core.quantile import median_low
 from skygcs.core.separation import Footprint
@@ -38,10 +38,6 @@ HISTORY_S = 2.0
 
 MAX_HISTORY = 32
 """Positions kept of one vehicle; read at most four times a second."""
-
-HIGHEST_M = 100_000.0
-"""Nobody flies higher; what says so is not a position."""
-
 
 TOWARDS = math.cos(math.radians(20.0))
 """A vehicle flies to where it was sent if its velocity leads there within 20 degrees ..."""
@@ -320,19 +316,26 @@ def _read(track: Track, now: float) -> str | None:
     if vehicle.ids.beside:
         return "two vehicles send with its system id on one link"
     position, at = vehicle.timed_telemetry("position")
-    if position is None or at is None or position["lat_deg"] is None:
-        return "it reports no position"
-    lat_deg, lon_deg, alt_m = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
-    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M):
-        return "the position that it reports is not on earth"
-    track.parked = not is_flying(vehicle, now)
-    track.circle_m = vehicle.hold_reach_m(now)
-    if at != track.at:
+    why = _why_unplaced(position)
+    if position is not None and at is not None and why is None and at != track.at:
         east, north, up = position["vel_enu_mps"]
+        lat_deg, lon_deg, alt_m = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
         track.at, track.reported_mps = at, (east, north, up)
         track.lat_deg, track.lon_deg, track.ecef_m = lat_deg, lon_deg, ecef(lat_deg, lon_deg, alt_m)
         track.history.append(Sample(at, track.reported_mps))
         while len(track.history) > 2 and track.history[0].at < at - HISTORY_S:
             track.history.popleft()
-    track.lost = not track.parked and now - at > TRACK_SILENT_S
-    return f"no position for {TRACK_SILENT_S:g} s: it may be anywhere" if track.lost else None
+    if track.at == -math.inf:
+        return why or "it reports no position"
+    track.parked = not is_flying(vehicle, now)
+    track.circle_m = vehicle.hold_reach_m(now)
+    track.lost = not track.parked and now - track.at > TRACK_SILENT_S
+    return f"{why or f'no position for {TRACK_SILENT_S:g} s'}: it may be anywhere" if track.lost else None
+
+
+def _why_unplaced(position: Mapping[str, Any] | None) -> str | None:
+    """Why a report is no position; None: it is one."""
+    if position is None or position["lat_deg"] is None:
+        return "it reports no position"
+    on_earth = is_on_earth(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+    return None if on_earth else "the position that it reports is not on earth"

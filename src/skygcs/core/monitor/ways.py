@@ -81,14 +81,18 @@ def standing(place: Vector) -> tuple[Leg, ...]:
 
 def column(place: Vector, to_m: float) -> Leg:
     """Straight up or down at a place."""
-    return Leg(place[:2], place[:2], min(place[2], to_m), max(place[2], to_m))
+    return _leg(place, (*place[:2], to_m))
 
 
 def along(points: Sequence[Vector]) -> tuple[Leg, ...]:
     """Through these points. A leg that climbs is taken to be anywhere between its two heights."""
-    return tuple(Leg(a[:2], b[:2], min(a[2], b[2]), max(a[2], b[2])) for a, b in itertools.pairwise(points)) or tuple(
-        leg for point in points for leg in standing(point)
-    )
+    legs = tuple(_leg(a, b) for a, b in itertools.pairwise(points))
+    return legs or tuple(leg for point in points for leg in standing(point))
+
+
+def _leg(a: Vector, b: Vector) -> Leg:
+    """From one point to another. A height that is NaN stays one, which ``min`` and ``max`` may lose."""
+    return Leg(a[:2], b[:2], a[2], b[2]) if a[2] <= b[2] else Leg(a[:2], b[:2], b[2], a[2])
 
 
 def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
@@ -112,6 +116,17 @@ def are_apart(a: tuple[Vector, Vector], b: tuple[Vector, Vector], need: Vector) 
         if all(x + need_m < y for x in p for y in q) or all(y + need_m < x for x in p for y in q):
             return True
     return False
+
+
+def beginning(way: Way) -> Way:
+    """Where the vehicle of a way is now."""
+    first = way.legs[0]
+    return replace(way, legs=(first._replace(end=first.begin),))
+
+
+def leads_on(way: Way) -> bool:
+    """True unless its vehicle only stands, climbs or sinks where it is."""
+    return any(leg.begin != way.legs[0].begin or leg.end != leg.begin for leg in way.legs)
 
 
 def needed_m(a: Way, b: Way) -> float:
@@ -182,7 +197,10 @@ def _nearest_m(a: Way, b: Way) -> Generator[None, None, float]:
 
 
 def conflict_text(way: Way, other: Way, near_m: float) -> str:
-    """That one would come so near another, for people."""
+    """That one would come so near another, for people; or that nobody knows."""
+    if not (way.is_known and other.is_known):
+        whose = way.name if other.is_known else f"{other.name} ({other.doing})"
+        return f"{way.name} may come too near {other.name}: the way of {whose} is not known"
     ratio = pair_margin(way.footprint, other.footprint).downwash_ratio
     near, needed = shown_m(near_m, needed_m(way, other))
     return (

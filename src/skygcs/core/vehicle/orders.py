@@ -26,7 +26,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
 
-from skygcs.core.geo import REACH_M, distance_m, geodetic_from_enu, swapped_hint
+from skygcs.core.geo import REACH_M, distance_m, geodetic_from_enu, is_on_earth, swapped_hint
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.modes import PX4_NOT_ARMABLE
@@ -427,12 +427,13 @@ def _on_ground(vehicle: Vehicle, now: float) -> bool:
 
 
 def fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
-    """Latitude and longitude (degrees) and height above sea level (m) of a vehicle; None: not known, or older than
-    `ORDER_POSITION_S`."""
+    """Latitude and longitude (degrees) and height above sea level (m) of a vehicle; None: not known, older than
+    `ORDER_POSITION_S`, or not on earth."""
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     if position is None or at is None or position["lat_deg"] is None or now - at > ORDER_POSITION_S:
         return None
-    return position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
+    here = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
+    return here if is_on_earth(*here) else None
 
 
 def _from_enu(vehicle: Vehicle, enu_m: Sequence[float], home_amsl_m: float) -> Destination:

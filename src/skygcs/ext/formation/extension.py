@@ -314,8 +314,8 @@ class Formation(Extension[FormationConfig]):
     def tick(self, now: float) -> None:
         """One step of the flight, and its setpoints."""
         flight = self.flight
-        if flight is None or not self._actors:
-            return
+        if flight is None or not self._actors or now <= self._stepped_at:
+            return  # also at the moment of its begin: there are no rates over no time
         dt_s, self._stepped_at = now - self._stepped_at, now
         for name in flight.members:
             if (why := self._gone(name)) is not None:

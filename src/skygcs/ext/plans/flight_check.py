@@ -53,6 +53,7 @@ from skygcs.ext.plans.plan_checks import (
     state_finding,
 )
 from skygcs.runtime.flight_notes import FlightNotes
+from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -174,6 +175,8 @@ class Vehicles(Protocol):
     @property
     def links(self) -> VehicleLinks: ...
     @property
+    def monitor(self) -> SeparationMonitor: ...
+    @property
     def notes(self) -> FlightNotes: ...
     async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
 
@@ -220,7 +223,7 @@ class FlightCheck:
             findings += await preflight_findings(actors, standing, self._fleet.preflight)
             checked.heights = await return_heights(actors)
         # the places as they are now, after the questions
-        measured = measure(actors, self._fleet.everybody(), frame, self._loop.time())
+        measured = measure(actors, self._fleet.everybody(), frame, self._loop.time(), self._fleet.monitor.why_leaving)
         findings += measured.findings
         rule, checked.sources = self.margins(actors, request, by)
         checked.rule = rule

@@ -74,6 +74,9 @@ SLOWEST_CLIMB_MPS = 1.0
 
 Places = dict[str, Vector]
 
+WhyLeaving = Callable[[VehicleActor], str | None]
+"""Why a vehicle that stands does not stay there; None: nobody has sent it anywhere."""
+
 Loaded = Mapping[str, LoadedTrajectory]
 """The trajectories of one step, by vehicle."""
 
@@ -87,8 +90,14 @@ class Measured(NamedTuple):
     findings: list[Finding]
 
 
-def measure(actors: Sequence[VehicleActor], everybody: Iterable[VehicleActor], frame: EnuFrame, now: float) -> Measured:
-    """The places; findings name what cannot be measured."""
+def measure(
+    actors: Sequence[VehicleActor],
+    everybody: Iterable[VehicleActor],
+    frame: EnuFrame,
+    now: float,
+    why_leaving: WhyLeaving = lambda actor: None,
+) -> Measured:
+    """The places; findings name what cannot be measured. ``why_leaving``: see `SeparationMonitor.why_leaving`."""
     places: Places = {}
     names = [actor.name for actor in actors]
     grounded: set[str] = set()
@@ -108,7 +117,7 @@ def measure(actors: Sequence[VehicleActor], everybody: Iterable[VehicleActor], f
     others: Places = {}
     for actor in everybody:
         if actor.vehicle.key not in taking_part and not actor.vehicle.replayed:
-            findings += _other(actor, frame, now, others)
+            findings += _other(actor, frame, now, others, why_leaving(actor))
     return Measured(places, frozenset(grounded), others, findings)
 
 
@@ -123,8 +132,8 @@ def _why_unplaced(vehicle: Vehicle, place: Vector | None, age_s: float) -> str |
     return None
 
 
-def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places) -> list[Finding]:
-    """A vehicle that takes no part: an obstacle where it was measured."""
+def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places, leaving: str | None) -> list[Finding]:
+    """A vehicle that takes no part: an obstacle where it was measured. ``leaving``: why it does not stay there."""
     check = "others"
     place, age_s, speed_mps = measured_place(actor.vehicle, frame, now)
     flies = is_flying(actor.vehicle, now)
@@ -135,14 +144,15 @@ def _other(actor: VehicleActor, frame: EnuFrame, now: float, others: Places) -> 
         return [refused(actor.name, check, text, remedies.land(actor.name), insist=True)]
     others[actor.name] = place
     where = ", ".join(f"{v:.1f}" for v in place)
-    if not flies:
+    if not flies and leaving is None:
         return [Finding(actor.name, check, Level.OK, f"it takes no part and is an obstacle at ({where})")]
     if age_s > PLAN_POSITION_S and not actor.vehicle.connected:
         text = f"{lost_place(actor.vehicle, now)}, and may be anywhere about there{FORGET.format(name=actor.name)}"
         return [refused(actor.name, check, text, remedies.forget(actor.name), insist=True)]
-    if age_s > PLAN_POSITION_S or speed_mps > MOVING_MPS:
-        text = f"it takes no part and {'is silent' if age_s > PLAN_POSITION_S else f'flies with {speed_mps:.1f} m/s'}: "
-        text += f"it is no obstacle that stays at ({where})"
+    moves = f"flies with {speed_mps:.1f} m/s" if speed_mps > MOVING_MPS else None
+    why = "is silent" if age_s > PLAN_POSITION_S else leaving or moves
+    if why is not None:
+        text = f"it takes no part and {why}: it is no obstacle that stays at ({where})"
         return [refused(actor.name, check, text, remedies.hold(actor.name), insist=True)]
     text = f"it flies, takes no part, and is taken to stay at ({where})"
     return [Finding(actor.name, check, Level.WARNING, text, "the monitor watches it")]

@@ -55,7 +55,6 @@ from skygcs.ext.plans.plan_flight import KIND, FlightGuidance, FlightOrders, Fli
 from skygcs.ext.plans.plan_uploads import PlanUploads
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.plan_place import PlanPlace
-from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, ask
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -80,8 +79,6 @@ class PlanFleet(Vehicles, Protocol):
     def vehicles(self) -> Mapping[int, VehicleActor]: ...
     @property
     def locks(self) -> FlightLocks: ...
-    @property
-    def monitor(self) -> SeparationMonitor: ...
     @property
     def trajectories(self) -> Trajectories: ...
     @property
@@ -317,7 +314,7 @@ class PlanRunner:
         # the rest of the plan, and the way back to it
         actors = [flight.actors[name] for name in staying]
         departed, modes = _departed(execution, sights), {actor.name: actor.vehicle.mode for actor in actors}
-        measured = measure(actors, self._fleet.everybody(), flight.frame, now)
+        measured = measure(actors, self._fleet.everybody(), flight.frame, now, self._fleet.monitor.why_leaving)
         lacking = [f"{f.vehicle}: {f.text}" for f in refusals(measured.findings, force=force)]
         if lacking or len(measured.places) < len(actors):
             return False, f"refused: {lacking[0] if lacking else 'a position is not known'}", lacking

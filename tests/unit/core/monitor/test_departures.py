@@ -33,7 +33,7 @@ from skygcs.core.monitor.departures import (
     return_height,
     why_not_held,
 )
-from skygcs.core.monitor.ways import Leg, column, standing, too_near
+from skygcs.core.monitor.ways import Leg, Way, column, sloped, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from support.examples import examples
 from support.watched_fleet import GUIDED, LAND, ORIGIN, RTL, WatchedVehicle
@@ -220,6 +220,55 @@ def test_one_that_stays_is_flown_over_or_waited_for_by_nobody(
         assert departures([above], [], [stays], {9}).leave == (1,)
         below = at(2, (-20.0, 0.0, 14.0), (-40.0, 0.0)).place()
         assert not departures([one], [], [stays, below], {9}).climb, "another one is in the way up"
+
+
+def sampled_m(place: tuple[float, float, float], a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+    """The least distance of a place to a straight line, by looking at many points of it."""
+    points = ([p + (q - p) * n / 2000 for p, q in zip(a, b, strict=True)] for n in range(2001))
+    return min(
+        separation_m(*(u - v for u, v in zip(place, point, strict=True)), SIZE.downwash_ratio) for point in points
+    )
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(st.data())
+def test_one_that_waits_where_somebody_flies_through_climbs_above_that_way(data: st.DataObject) -> None:
+    """It waited there until the other one had flown into it."""
+    part = st.floats(-6.0, 6.0)
+    here = (data.draw(part), data.draw(part), data.draw(st.floats(5.0, 15.0)))
+    begin, end = (-40.0, data.draw(part), 10.0), (40.0, data.draw(part), data.draw(st.sampled_from([10.0, 12.0])))
+    near_m = sampled_m(here, begin, end)
+    through, clear = near_m < MARGIN_M - 0.1, near_m > 3.0 * MARGIN_M  # between: a sloped way is made of steps
+    way = Way(9, "v9", SIZE, sloped([begin, end]))
+    one = at(1, here, (here[0], here[1] + data.draw(st.sampled_from([-30.0, 30.0]))))
+    decided = departures([one], [], [way])
+    if through and 1 not in decided.leave:
+        goal = (*here[:2], decided.climb[1])
+        assert sampled_m(goal, begin, end) >= MARGIN_M
+        assert departures([replace(one, goal_m=goal[2], here=goal)], [], [way]).climb == {}, "once"
+    if clear:
+        assert not decided.climb
+    assert not departures([one], [], [replace(way, legs=standing(begin))]).climb, "it does not come"
+
+
+@pytest.mark.parametrize(
+    ("ceiling_m", "above_m", "comes_m", "climbs"),
+    [
+        (math.inf, None, -40.0, True),
+        (12.0, None, -40.0, False),  # its fence is lower
+        (math.inf, 4.0, -40.0, False),  # somebody else waits above it
+        (math.inf, None, -2.0, False),  # it is there already
+    ],
+)
+def test_one_that_waits_in_a_way_climbs_only_where_that_is_free(
+    ceiling_m: float, above_m: float | None, comes_m: float, climbs: bool
+) -> None:
+    way = Way(9, "v9", SIZE, sloped([(comes_m, 0.0, 10.0), (40.0, 0.0, 10.0)]))
+    one = replace(at(1, (0.0, 1.0, 10.0), (0.0, -30.0)), ceiling_m=ceiling_m)
+    others = [] if above_m is None else [replace(at(2, (0.0, 1.0, 10.0 + above_m), (0.0, 9.0)).place(), doing="hovers")]
+    decided = departures([one], [], [way, *others], {2})
+    assert decided.leave == () and (1 in decided.climb) is climbs
+    assert bool(decided.fenced) is (ceiling_m == 12.0)
 
 
 def test_one_that_climbs_takes_the_space_up_to_its_goal() -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
-from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.geo import EnuFrame, Origin, ecef
 from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
-from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_way
+from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_box, mission_way
 from skygcs.core.monitor.ways import Way, standing, too_near
-from skygcs.core.separation import Footprint
+from skygcs.core.separation import Footprint, pair_margin
+from support.examples import seeds
 from support.table import each
 
 HOME = (43.7806, -79.4653, 180.0)
@@ -143,3 +145,33 @@ def test_a_landing_is_compared_with_what_stands_but_for_one_where_the_vehicle_st
     # gone on with in flight: home is where it began, and not where it is now
     assert landing_distance_m(way(at_home, first=2, at=(0.0, 30.0)), (2.0, 0.0), (0.0, 0.0)) == math.inf
     assert landing_distance_m(way(elsewhere[:2], up_m=0.0), (0.0, 50.0), (0.0, 0.0)) == math.inf, "it does not land"
+
+
+@each("seed", seeds(60))
+def test_what_a_box_of_a_mission_leaves_out_its_way_keeps_clear_of(seed: int) -> None:
+    """The oracle: places on the line, against the whole way."""
+    rng = random.Random(seed)
+
+    def place(most_m: float) -> tuple[float, float, float]:
+        return rng.uniform(-most_m, most_m), rng.uniform(-most_m, most_m), rng.uniform(0.0, 40.0)
+
+    items = [item(rng.choice([16, 17, 22]), place(60.0)[:2], rng.uniform(0.0, 60.0), 2, 9.0) for _ in range(4)]
+    items += rng.choice([[], [jump(1)], [MissionItem(20, 2)], [item(21, place(60.0)[:2])]])
+    height, here = ReturnHeight(0.0, 30.0, 2.0), place(60.0)
+    line = [(x + rng.choice([0.0, 150.0]), y, up) for x, y, up in (place(90.0), place(90.0))]
+    ends = tuple(ecef(*FRAME.to_geodetic(*at)) for at in line)
+    need_m = 2.0 * pair_margin(SMALL, SMALL).total_m
+    apart = mission_box(items, HOME).is_apart((ends[0], ends[1]), ecef(*FRAME.to_geodetic(*here)), need_m, height)
+    run = MissionRun(items, rng.choice([1, 3]), height)
+    whole = mission_way(1, "v1", SMALL, run, FRAME.to_geodetic(*here), HOME, FRAME)
+    points = [[p + (q - p) * n / 60 for p, q in zip(*line, strict=True)] for n in range(61)]
+    near = any(meets(whole, (x, y), up) for x, y, up in points)
+    assert not (apart and near)
+
+
+def test_a_box_leaves_out_what_is_far_away_and_keeps_what_may_return_at_any_height() -> None:
+    items, far = [item(16, at) for at in SQUARE], ecef(*FRAME.to_geodetic(900.0, 0.0, 20.0))
+    here = ecef(*FRAME.to_geodetic(0.0, 0.0, 20.0))
+    assert mission_box(items, HOME).is_apart((far, far), here, 5.0, UNKNOWN)
+    assert not mission_box(items, HOME).is_apart((far, far), far, 5.0, UNKNOWN), "from there it comes"
+    assert not mission_box([*items, MissionItem(20, 2)], HOME).is_apart((far, far), here, 5.0, UNKNOWN)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
+from skygcs.core.geo import ecef
 from skygcs.core.monitor.conflict_levels import CLEAR_S, Level, Pair
 from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, is_flying
@@ -313,6 +314,62 @@ def test_vehicles_that_cannot_be_watched_are_listed_with_the_reason() -> None:
     assert "no position" in reasons["v1"] and "recording" in reasons["v2"] and "one link" in reasons["v3"]
     told = [event.vehicle for _, event in fleet.events]
     assert sorted(told) == ["v1", "v3"], "once each; a recording is not news"
+
+
+@pytest.mark.parametrize(
+    "place",
+    [(95.0, 10.0, 100.0), (43.0, 200.0, 100.0), (43.0, 10.0, 2e5), (0.0, 0.0, 0.0)],
+    ids=["latitude", "longitude", "height", "none"],
+)
+@pytest.mark.parametrize("lands", [False, True])
+def test_one_that_reports_places_not_on_earth_counts_where_it_was_seen_last(
+    place: tuple[float, float, float], lands: bool
+) -> None:
+    """It counted as nowhere: others were sent to where it had been seen a moment ago."""
+    bad, good = WatchedVehicle(1), WatchedVehicle(2)
+    fleet = Watched(bad, good)
+    begun = fleet.now
+
+    def look(until_s: float) -> None:
+        while fleet.now < begun + until_s:
+            for one in (bad, good):
+                one.heartbeat(fleet.now, status=STANDBY if lands and one is bad else ACTIVE)
+            good.position(fleet.now, (40.0, 0.0, 10.0))
+            if fleet.now < begun + 2.0:
+                bad.position(fleet.now, (0.0, 0.0, 0.0 if lands else 10.0))
+            else:
+                bad.geodetic(fleet.now, *place, (0.0, 0.0, 0.0), 0.0 if lands else 10.0)
+            fleet.look()
+            fleet.now += STEP_S
+
+    tracks = fleet.monitor.tracks
+    look(8.0)
+    assert set(tracks.tracks) == {bad.vehicle.key, good.vehicle.key}
+    look(30.0)
+    kept = tracks.tracks if lands else tracks.lost
+    seen = ecef(*bad.geodetic_of(0.0, 0.0, 0.0 if lands else 10.0))
+    assert kept[bad.vehicle.key].ecef_m == pytest.approx(seen, abs=0.1)
+    if not lands:
+        (_, why, flying) = tracks.unwatched[bad.vehicle.key]
+        assert flying and "position" in why and "anywhere" in why
+
+
+@pytest.mark.parametrize(("lat_deg", "lon_deg"), [(90.0, 10.0), (-90.0, 0.0), (10.0, 180.0), (43.0, 179.99995)])
+def test_a_pole_and_the_date_line_are_places_like_others(lat_deg: float, lon_deg: float) -> None:
+    """Two vehicles 6 m apart over one of them: by a sphere, as the oracle."""
+    step_deg = math.degrees(6.0 / 6_371_000.0)
+    across = lon_deg if abs(lat_deg) == 90.0 else lon_deg + step_deg / math.cos(math.radians(lat_deg))
+    other = (lat_deg - math.copysign(step_deg, lat_deg) if abs(lat_deg) == 90.0 else lat_deg, across)
+    a, b = WatchedVehicle(1), WatchedVehicle(2)
+    fleet = Watched(a, b)
+    for _ in range(8):
+        for one, place in ((a, (lat_deg, lon_deg)), (b, (other[0], (other[1] + 180.0) % 360.0 - 180.0))):
+            one.heartbeat(fleet.now)
+            one.geodetic(fleet.now, *place, 100.0, (0.0, 0.0, 0.0))
+        fleet.look()
+        fleet.now += STEP_S
+    first, second = fleet.monitor.tracks.tracks.values()
+    assert math.dist(first.place_m, second.place_m) == pytest.approx(6.0, rel=0.02)
 
 
 # --- holds ------------------------------------------------------------------------------------------------------------

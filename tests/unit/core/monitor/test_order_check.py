@@ -243,6 +243,18 @@ def test_one_too_near_a_way_may_leave_it(velocity: tuple[float, float, float], f
     assert bool(conflicts(straight(1, (0.0, 0.0, 20.0), velocity), beside, end_s=60.0)) is found
 
 
+@each("axis", [0, 1, 2])
+def test_a_way_that_is_not_known_is_everywhere(axis: int) -> None:
+    """It counted as one that is left already, so nothing was refused for it."""
+    end = [20.0, 0.0, 10.0]
+    end[axis] = math.nan
+    lost = Way(2, "v2", Footprint(), sloped([(30.0, 300.0, 20.0), (end[0], end[1], end[2])]), doing="on its mission")
+    text = conflicts(straight(1, (0.0, 0.0, 20.0), (0.0, -1.0, 0.0)), lost, end_s=60.0)[1]
+    assert "v2 (on its mission)" in text and " near " in text
+    found = space_conflict(mover(), at(0.0, -40.0, 0.0), [lost])
+    assert found == "v1 may come too near v2: the way of v2 (on its mission) is not known"
+
+
 # --- orders: v1 hovers or flies at the origin of the frame, v2 is the other one --------------------------------------
 
 NOW = 1000.0

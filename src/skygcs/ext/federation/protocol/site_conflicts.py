@@ -38,7 +38,7 @@ from dataclasses import dataclass, field
 from statistics import median_low
 from typing import Any, NamedTuple
 
-from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.geo import EnuFrame, Origin, is_on_earth
 from skygcs.core.monitor.approach import REST, Approach, Vector, closest_approach
 from skygcs.core.monitor.conflict_levels import (
     CLEAR_S,
@@ -49,7 +49,7 @@ from skygcs.core.monitor.conflict_levels import (
     Level,
     believed_velocity,
 )
-from skygcs.core.monitor.tracks import HIGHEST_M, TRACK_SILENT_S
+from skygcs.core.monitor.tracks import TRACK_SILENT_S
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.events import Event
 
@@ -303,7 +303,7 @@ def _watched(vehicle: SiteVehicle) -> bool:
     if any(number is None or not math.isfinite(number) for number in numbers):
         return False
     lat_deg, lon_deg, alt_m = (number or 0.0 for number in numbers)
-    possible = abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M
+    possible = is_on_earth(lat_deg, lon_deg, alt_m)
     return possible and not (vehicle.flying and not 0.0 <= vehicle.age_s <= TRACK_SILENT_S)
 
 
