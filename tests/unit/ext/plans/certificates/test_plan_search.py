@@ -91,8 +91,12 @@ def test_goals_that_may_be_exchanged_are_flown_straight() -> None:
 def test_goals_of_their_own_are_reached_in_layers() -> None:
     starts = grid(20)
     goals = random.Random(2).sample(starts, 20)
-    found = make_plan(task(starts, goals), RULE, LIMITS)
+    told: list[tuple[str, int, int]] = []
+    found = make_plan(task(starts, goals), RULE, LIMITS, progress=lambda *work: told.append(work))
     assert isinstance(found.plan, PhasedPlan)
+    assert told[-1] == ("layers", 0, 20) and told[0][0] == "straight, timed"
+    heights = {z for _, _, z in found.plan.phases[0].goals.values()}
+    assert found.attempts[-1].what == f"{len(heights)} layers"
     assert [phase.name for phase in found.plan.phases] == ["climb", "cross", "descend"]
     assert dict(found.plan.phases[-1].goals) == {f"v{i}": goal for i, goal in enumerate(goals)}
     flown = found.plan.trajectories(LIMITS)
@@ -104,6 +108,7 @@ def test_rounds_where_the_ceiling_leaves_too_few_layers() -> None:
     found = make_plan(task(starts, starts[::-1]), RULE, LIMITS, FlightSpace(ceiling_m=61.0))
     assert isinstance(found.plan, PhasedPlan)
     assert [phase.name for phase in found.plan.phases][:3] == ["climb", "cross 1", "cross 2"]
+    assert found.attempts[-1].what.endswith(f" layers, {len(found.plan.phases) - 2} rounds")
     assert max(z for phase in found.plan.phases for _, _, z in phase.goals.values()) <= 61.0 - 1.25
 
 
@@ -112,6 +117,7 @@ def test_a_search_that_fails_says_what_was_tried_and_why(ceiling_m: float, left:
     starts = grid(20)
     found = make_plan(task(starts, starts[::-1]), RULE, LIMITS, FlightSpace(ceiling_m=ceiling_m))
     assert found.plan is None
+    assert found.certificate is found.attempts[0].certificate is not None
     straight, layers = found.reasons()
     assert straight.startswith("straight, timed: v") and "come within 0.000 m at" in straight
     assert f"has none left of {left} 5.00 m apart, in any number of rounds" in layers
@@ -137,6 +143,17 @@ def test_fifty_antipodal_on_a_circle_need_layers() -> None:
     ring = circle(50, 45.0)
     assert make_plan(task(ring, ring[25:] + ring[:25], kind="timed"), RULE, LIMITS).plan is None
     assert isinstance(make_plan(task(ring, ring[25:] + ring[:25]), RULE, LIMITS).plan, PhasedPlan)
+
+
+def test_orders_to_go_somewhere_are_one_phase_of_straight_legs() -> None:
+    starts, goals = [(0.0, 0.0, 10.0), (0.0, 9.0, 10.0)], [(30.0, 0.0, 12.0), (30.0, 9.0, 10.0)]
+    found = make_plan(task(starts, goals, kind="direct"), RULE, LIMITS)
+    assert isinstance(found.plan, PhasedPlan)
+    assert [(phase.name, dict(phase.goals)) for phase in found.plan.phases] == [
+        ("straight", dict(zip(("v0", "v1"), goals, strict=True)))
+    ]
+    crossed = make_plan(task(starts, goals[::-1], kind="direct"), RULE, LIMITS)
+    assert crossed.plan is None and "straight, each at its own speed: v0 and v1" in crossed.reasons()[0]
 
 
 def test_a_task_that_is_none_is_refused() -> None:
