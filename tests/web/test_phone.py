@@ -156,3 +156,12 @@ def test_the_view_is_fitted_when_it_is_first_opened_though_a_tool_was_taken_befo
             Math.abs(x - c.x) * c.pxPerM < c.widthPx / 2 && Math.abs(y - c.y) * c.pxPerM < c.heightPx / 2);
     }"""
     until(page, f"({inside})() && skygcs.view.camera.x !== 0")
+
+
+def test_the_row_of_sub_tabs_shows_the_chosen_one(page: Page) -> None:
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1'], how: 'only'})")
+    pane(page, "Vehicle")
+    last = page.locator(".subtab").last
+    last.evaluate("tab => tab.click()")  # by a screen reader, say: a tap would scroll by itself
+    expect(last).to_have_attribute("aria-selected", "true")
+    expect(last).to_be_in_viewport(ratio=0.99)
