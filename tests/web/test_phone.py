@@ -59,7 +59,8 @@ def test_table_orders_and_view_fit_and_are_large_enough(page: Page, shot: Shot) 
 
 
 ALARMS = """for (let i = 0; i < 120; i++) skygcs.store.dispatch({ type: "event", event: {
-    time_unix_s: Date.now() / 1000 + i, kind: "failsafe", vehicle: "v1", text: `${i}`, data: { failsafe: true } } })"""
+    time_unix_s: Date.now() / 1000 + i, kind: "failsafe", severity: "alarm", vehicle: "v1",
+    text: `${i}`, data: { failsafe: true } } })"""
 
 
 def test_the_number_of_alarms_is_seen_beside_stop(page: Page, shot: Shot) -> None:
