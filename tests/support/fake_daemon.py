@@ -23,6 +23,7 @@ from typing import Any, cast
 from skygcs.config.control import ControlSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.vehicle_tables import SeparationSettings
+from skygcs.core.alarms import VehicleFacts, event_record
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
@@ -223,6 +224,7 @@ class FakeVehicle:
                 "lat_deg": 43.7806,
                 "lon_deg": -79.4653,
                 "alt_amsl_m": 180.0,
+                "time_usec": 1,
                 "age_s": 0.2,
             },
             "position": {
@@ -232,8 +234,10 @@ class FakeVehicle:
                 "alt_rel_m": 2.5 + swing,
                 "heading_deg": 90.0,
                 "vel_enu_mps": [0.1, swing, 0.0],
-                "enu_m": None,
+                "time_boot_s": 1.0,
                 "age_s": 0.1,
+                **dict.fromkeys(("takeoff_alt_amsl_m", "alt_takeoff_m", "enu_m", "vel_world_mps", "yaw_world_deg")),
+                "origin_generation": None,
             },
             "local": {"pos_enu_m": [1.0, 2.0, 3.0], "vel_enu_mps": [0.0, 0.0, 0.0], "age_s": 0.1},
             "attitude": {
@@ -241,10 +245,12 @@ class FakeVehicle:
                 "pitch_deg": -0.5,
                 "yaw_deg": 90.0,
                 "rates_dps": [0.0, 0.0, 0.0],
-                "quaternion": None,
+                "quaternion": [1.0, 0.0, 0.0, 0.0],
+                "time_boot_s": 1.0,
                 "age_s": 0.1,
             },
-            "battery": {"volts": 15.8, "amps": 1.2, "percent": 23 if self.sysid == 3 else 87, "age_s": 0.5},
+            "battery": {"volts": 15.8, "amps": 1.2, "percent": 23 if self.sysid == 3 else 87, "age_s": 0.5}
+            | dict.fromkeys(("consumed_mah", "temperature_degc", "remaining_s")),
             "home": None,
             "estimator": {"flags": 831, "ok": True, "names": ["ATTITUDE"], "age_s": 0.5},
             "sensors": {"present": ["3D_GYRO"], "enabled": ["3D_GYRO"], "health": ["3D_GYRO"], "age_s": 0.5},
@@ -603,7 +609,8 @@ class FakeDaemon:
         self.link_states: dict[str, dict[str, Any]] = {}
         self.corrections = FakeCorrections()
         self.message_sender = SimpleNamespace(send=self._send)
-        quality = {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
+        counted = {"frames": 100, "bytes": 4000, "lost": 1, "frames_per_s": 20.0, "age_s": 0.1}
+        quality = {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0, **counted}}
         self.hub = SimpleNamespace(
             observers=SimpleNamespace(add=self._add_observer),
             statistics=SimpleNamespace(link_quality=lambda key: quality, router_stats=self._router_stats),
@@ -709,14 +716,8 @@ class FakeDaemon:
         self.emit(event.kind, event.vehicle, event.text, **event.data)
 
     def emit(self, kind: str, vehicle: str | None, text: str, **data: Any) -> None:
-        event = {
-            "time_unix_s": time.time(),
-            "kind": kind,
-            "vehicle": vehicle,
-            "sysid": None,
-            "text": text,
-            "data": data,
-        }
+        armed = next((each.armed for each in self.fleet.vehicles.values() if each.name == vehicle), None)
+        event = event_record(Event(kind, vehicle, None, text, data), time.time(), VehicleFacts(armed))
         self.events.append(event)
         for callback in list(self._on_event):
             callback(event)

@@ -18,12 +18,14 @@ COUNT_TONES = """
 """
 
 ALARM = """text => skygcs.store.dispatch({type: "event", event: {
-  time_unix_s: Date.now() / 1000, kind: "failsafe", vehicle: "v1", sysid: 1, text, data: {failsafe: true}}})"""
+  time_unix_s: Date.now() / 1000, kind: "failsafe", severity: "alarm",
+  vehicle: "v1", sysid: 1, text, data: {failsafe: true}}})"""
 
 GROUPS = """() => {
   const now = Date.now() / 1000;
   const come = (at_s, kind, vehicle, text, data) => skygcs.store.dispatch({ type: "event", event: {
-    time_unix_s: now + at_s, kind, vehicle, sysid: 1, text, data } });
+    time_unix_s: now + at_s, kind, vehicle, sysid: 1,
+    severity: ["vehicle_lost", "separation"].includes(kind) ? "alarm" : "info", text, data } });
   come(0, "vehicle_lost", "u02", "no heartbeat for 3.1 s", {});
   for (let i = 1; i < 20; i++)
     come(i / 10, "separation", `u${i + 10}`, "ordered to hold for its distance to u02", { order: "hold", with: "u02" });

@@ -120,6 +120,12 @@ def test_take_off_go_to_by_a_click_hold_and_return_with_the_daemons_words(
     message = the_one_sent(page, "vehicles.goto")
     assert set(message["params"]) == {"targets", "lat_deg", "lon_deg", "height_m"}
     until(page, f"(([x, y]) => Math.hypot(x - {x}, y - {y}) < 2)(skygcs.store.state.vehicles.get('v1').position.enu_m)")
+    page.keyboard.down("r")  # a Mac sends no keyup of it while Cmd is down
+    page.keyboard.down("Meta")
+    page.wait_for_timeout(1_500)
+    assert sent(page, "vehicles.rtl") == []
+    page.keyboard.up("r")
+    page.keyboard.up("Meta")
     page.keyboard.press("h")
     expect(page.locator(".toast").first).to_contain_text("Hold")
     assert len(sent(page, "vehicles.hold")) == 1

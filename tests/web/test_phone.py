@@ -59,7 +59,8 @@ def test_table_orders_and_view_fit_and_are_large_enough(page: Page, shot: Shot) 
 
 
 ALARMS = """for (let i = 0; i < 120; i++) skygcs.store.dispatch({ type: "event", event: {
-    time_unix_s: Date.now() / 1000 + i, kind: "failsafe", vehicle: "v1", text: `${i}`, data: { failsafe: true } } })"""
+    time_unix_s: Date.now() / 1000 + i, kind: "failsafe", severity: "alarm", vehicle: "v1",
+    text: `${i}`, data: { failsafe: true } } })"""
 
 
 def test_the_number_of_alarms_is_seen_beside_stop(page: Page, shot: Shot) -> None:
@@ -156,3 +157,12 @@ def test_the_view_is_fitted_when_it_is_first_opened_though_a_tool_was_taken_befo
             Math.abs(x - c.x) * c.pxPerM < c.widthPx / 2 && Math.abs(y - c.y) * c.pxPerM < c.heightPx / 2);
     }"""
     until(page, f"({inside})() && skygcs.view.camera.x !== 0")
+
+
+def test_the_row_of_sub_tabs_shows_the_chosen_one(page: Page) -> None:
+    page.evaluate("skygcs.store.dispatch({type: 'select', names: ['v1'], how: 'only'})")
+    pane(page, "Vehicle")
+    last = page.locator(".subtab").last
+    last.evaluate("tab => tab.click()")  # by a screen reader, say: a tap would scroll by itself
+    expect(last).to_have_attribute("aria-selected", "true")
+    expect(last).to_be_in_viewport(ratio=0.99)

@@ -47,7 +47,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from skygcs.events import Event
 
@@ -252,6 +252,69 @@ RULES: Mapping[str, Rule] = {
     "fault": lambda event, facts: [Signal("fault", event.vehicle, True, event.text, lasts=False)],
 }
 """By the kind of the event."""
+
+
+# --- severity of events -----------------------------------------------------------------------------------------------
+
+EventSeverity = Literal["alarm", "warning", "info"]
+
+SEVERITIES: tuple[EventSeverity, ...] = get_args(EventSeverity)
+"""The gravest first."""
+
+WARNING_LEVEL = 4
+"""MAV_SEVERITY_WARNING."""
+
+WARNINGS = frozenset({"warning", "conflict", "link_degraded", "undo", "reboot"})
+"""Kinds that report a change to the worse, whatever is in them."""
+
+WARNING_RESULTS = frozenset({"failed", "denied", "timeout", "lost", "refused", "unsupported"})
+
+
+def severity_of(event: Event, facts: VehicleFacts) -> EventSeverity:
+    """Return the severity of the alarm that the event raises; of an event that raises none: warning for a change to the
+    worse, else info."""
+    if event.kind == "alarm":  # one that comes from a state has no other event
+        news = event.data.get("change") == "raised" and not event.data.get("logged")
+        return event.data["severity"] if news else "info"
+    raised = [signal.severity for signal in signals(event, facts) if signal.raised]
+    if raised:
+        return "alarm" if "alarm" in raised else "warning"
+    return "warning" if _is_worse(event) else "info"
+
+
+def _is_worse(event: Event) -> bool:
+    """True if an event that raises no alarm reports a change to the worse."""
+    data = event.data
+    match event.kind:
+        case "statustext":
+            level = data.get("level")
+            return isinstance(level, int) and level <= WARNING_LEVEL
+        case "command":
+            outcome = data if "result" in data or "ok" in data else data.get("outcome") or {}
+            return outcome.get("ok") is False or outcome.get("result") in WARNING_RESULTS
+        case "separation":
+            return data.get("level") == "notice"
+        case "vehicle_lost":
+            return True
+        case "recorder":  # it records again, and has lost something
+            return "error" in data or bool(data.get("lost"))
+        case "link_down":
+            return not data.get("finished")
+        case kind:
+            return kind in WARNINGS
+
+
+def event_record(event: Event, unix_s: float, facts: VehicleFacts) -> dict[str, Any]:
+    """Return the event as RPC clients and pages get it."""
+    return {
+        "time_unix_s": round(unix_s, 3),
+        "kind": event.kind,
+        "vehicle": event.vehicle,
+        "sysid": event.sysid,
+        "severity": severity_of(event, facts),
+        "text": event.text,
+        "data": event.data,
+    }
 
 
 def as_text(value: Any) -> str:

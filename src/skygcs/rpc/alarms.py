@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from skygcs.core.alarms import Severity
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, NoParams, Result
@@ -19,7 +20,7 @@ class AlarmResult(Result):
     kind: str = Field(description="lost, deaf, battery, failsafe, stop, takeoff, guard, fence, separation, …")
     vehicle: str | None
     other: str | None = Field(description="The second vehicle of a conflict.")
-    severity: str = Field(description="alarm: a person has to look now; warning.")
+    severity: Severity = Field(description="alarm: a person has to look now.")
     text: str
     raised_unix_s: float
     changed_unix_s: float

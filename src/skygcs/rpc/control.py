@@ -239,6 +239,14 @@ class Files(Result):
     files: dict[str, str | None] = Field(description="By vehicle: what is written, or was until now; null: nothing.")
 
 
+class ControlReference(Result):
+    """A setpoint in the fleet's frame; null on an axis: it follows the other of the two."""
+
+    pos_enu_m: list[float | None] | None
+    vel_enu_mps: list[float | None] | None
+    yaw_deg: float | None
+
+
 class ControlState(Result):
     """The state's ``control`` section, with the vehicle's name where it stands alone."""
 
@@ -247,14 +255,14 @@ class ControlState(Result):
     control_mode: str | None = Field(
         description="The control mode it is flown in now: raw, attitude, velocity or position."
     )
-    state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
+    state: Literal["off", "engaging", "flying", "held"] = Field(
+        description="held: the guard had it hold; nothing is sent."
+    )
     reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
     successor: str | None = Field(
         description="The order that takes over: until its mode is seen it is held, and no setpoint is followed."
     )
-    reference: dict[str, Any] | None = Field(
-        description="pos_enu_m (null on an axis that follows a velocity), vel_enu_mps, yaw_deg in the fleet's frame."
-    )
+    reference: ControlReference | None
     error_enu_m: list[float] | None = Field(
         description="Reference minus position along the fleet's axes; 0 for a height that follows its velocity; null "
         "without a reference, and where the horizontal velocity is followed."

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -42,29 +42,97 @@ class SelectParams(MethodParams):
     targets: Targets | None = Field(None, description="null: none; the selection before this one ends.")
 
 
+class StreamRates(Result):
+    planned_hz: float
+    measured_hz: float
+
+
+class RadioVehicle(Result):
+    """Share of one vehicle in a radio's air."""
+
+    name: str
+    sysid: int
+    weight: float = Field(description="1, selected 2, flown by setpoints 4.")
+    planned_bytes_per_s: float
+    measured_bytes_per_s: float | None
+    loss: float | None = Field(description="0 to 1, last half minute; null: too few frames.")
+    round_trip_s: float | None
+    settled: bool
+    scaled: bool = Field(description="It gets less than it would send.")
+    streams: dict[str, StreamRates] = Field(description="By message.")
+
+
+class RadioDown(Result):
+    """Traffic from all vehicles of a radio."""
+
+    budget_bytes_per_s: float
+    per_vehicle_bytes_per_s: float = Field(description="Its timeslot.")
+    planned_bytes_per_s: float
+    measured_bytes_per_s: float
+    factor: float = Field(description="Below 1 after losses.")
+
+
+class RadioReport(Result):
+    """One RADIO_STATUS."""
+
+    age_s: float
+    txbuf_percent: float
+    rssi: float
+    noise: float
+    remrssi: float
+    remnoise: float
+
+
+class ClassCounters(Result):
+    """Frames of one class of traffic."""
+
+    waiting: int
+    sent: int
+    sent_bytes: int
+    replaced: int
+    dropped: int
+    refused: int
+    wait_p50_s: float | None
+    wait_p95_s: float | None
+
+
+class ThirdPartySource(Result):
+    """Frames of one other ground station."""
+
+    source: str
+    age_s: float
+    sent: int
+    sent_bytes: int
+    counts: dict[str, int] = Field(description="By what became of the rest.")
+
+
+class ThirdPartyShare(Result):
+    bytes_per_s: float = Field(description="What others may have.")
+    sources: list[ThirdPartySource]
+
+
+class RadioUp(Result):
+    """Traffic from this station to a radio; also timing (assumed or measured timeslots), corrections (RTCM)."""
+
+    base_bytes_per_s: float = Field(description="From baud and air speed.")
+    bytes_per_s: float = Field(description="Now.")
+    paced_by: Literal["rates", "reports"]
+    round_s: float | None
+    radio: RadioReport | None = Field(description="Its last report.")
+    classes: dict[str, ClassCounters]
+    third_party: ThirdPartyShare | None
+
+
 class RadioAir(Result):
     """One radio. Rates are bytes per second."""
 
     link: str
     peer: str
-    vehicles: list[dict[str, Any]] = Field(
-        description="name, sysid, weight (1, selected 2, flown by setpoints 4), planned_bytes_per_s, "
-        "measured_bytes_per_s, loss (0 to 1, last half minute; null: too few frames), round_trip_s, settled, scaled "
-        "(it gets less than it would send), streams (planned_hz and measured_hz by message)"
-    )
-    down: dict[str, Any] = Field(
-        description="budget_bytes_per_s, per_vehicle_bytes_per_s (its timeslot), planned_bytes_per_s, "
-        "measured_bytes_per_s, factor (below 1 after losses)"
-    )
-    up: dict[str, Any] = Field(
-        description="base_bytes_per_s (from baud and air speed), bytes_per_s (now), paced_by (rates or reports), "
-        "round_s, timing (assumed or measured timeslots; null: none), radio (its last report), classes (waiting, sent, "
-        "sent_bytes, replaced, dropped, refused, wait_p50_s, wait_p95_s of each class), third_party (what others send: "
-        "bytes_per_s they may have, param_lists with what is running and waiting, and of each source sent, sent_bytes "
-        "and counts by what became of the rest), corrections (RTCM)"
-    )
+    vehicles: list[RadioVehicle]
+    down: RadioDown
+    up: RadioUp
     poor: list[str] = Field(description="What is degraded now: txbuf, signal, or a vehicle's name for its losses.")
-    history: list[dict[str, Any]] = Field(description="The radio's reports of the last minute, oldest first.")
+    history: list[RadioReport] = Field(description="The radio's reports of the last minute, oldest first.")
 
 
 MAX_DATA_CHARS = 65536
@@ -98,6 +166,39 @@ class CorrectionsTaken(Result):
     links: int = Field(description="Open channels that may carry vehicles; 0: the message was sent to none.")
 
 
+class RtkFix(Result):
+    name: str
+    fix: str | None = Field(description="rtk_fixed, rtk_float, 3d, ...")
+    satellites: int | None
+
+
+class Survey(Result):
+    """The position of the own receiver."""
+
+    state: Literal["setting_up", "surveying", "surveyed", "fixed"]
+    duration_s: float | None
+    minimum_s: float | None
+    accuracy_m: float | None
+    wanted_m: float | None
+    observations: int | None
+
+
+class OwnSource(Result):
+    """The source of [corrections]; also connected (times), failures (attempts since), types (messages by RTCM type),
+    gga (from, sent, age_s)."""
+
+    kind: Literal["ntrip", "receiver"]
+    name: str
+    state: Literal["connecting", "waiting", "streaming", "held_off", "down"]
+    text: str = Field(description="The latest trouble.")
+    since_s: float
+    bytes: int
+    bytes_per_s: float
+    messages: int
+    age_s: float | None = Field(description="Of the last message.")
+    survey: Survey | None = None
+
+
 class CorrectionsStatus(Result):
     """Corrections that went since the daemon began, without what ground stations send by themselves."""
 
@@ -115,16 +216,34 @@ class CorrectionsStatus(Result):
         description="Of each radio with a budget: link, peer, bytes_per_s (its share for corrections), source "
         "(sysid/compid), what waits and what was sent, replaced, dropped. Ground stations' included."
     )
-    vehicles: list[dict[str, Any]] = Field(description="name, fix (rtk_fixed, rtk_float, 3d, ...), satellites.")
+    vehicles: list[RtkFix]
     rtk_float: int = Field(description="Vehicles with a float solution.")
     rtk_fixed: int = Field(description="Vehicles with a fixed solution.")
-    own_source: dict[str, Any] | None = Field(
-        description="The source of [corrections]; null: the fleet file has none. kind (ntrip, receiver), name, state "
-        "(connecting, waiting, streaming, held_off, down), text (the latest trouble), since_s, connected (times), "
-        "failures (attempts since), bytes, bytes_per_s, messages, age_s (of the last), types (messages by RTCM type), "
-        "gga (from, sent, age_s), survey (state: setting_up, surveying, surveyed or fixed; duration_s, minimum_s, "
-        "accuracy_m, wanted_m, observations)"
-    )
+    own_source: OwnSource | None = Field(description="Null: the fleet file has none.")
+
+
+class ChannelState(Result):
+    """One peer of a link; more counters with it."""
+
+    peer: str
+    rx_bytes: int = Field(0, description="Of frames.")
+    skipped_bytes: int = Field(0, description="In no frame.")
+    good: int = 0
+    unknown: int = Field(0, description="Frames of messages that the dialect does not have.")
+    sources: dict[str, Any] = Field(default_factory=dict)
+    counters: dict[str, int] = Field(default_factory=dict)
+
+
+class LinkState(Result):
+    name: str
+    type: str
+    role: str
+    state: str
+    last_error: str | None
+    ignored_datagrams: int = Field(0, description="UDP: they had no frame in them.")
+    peers_refused: int = 0
+    not_allowed: int = Field(0, description="From addresses that allow_from leaves out.")
+    channels: list[ChannelState]
 
 
 def links_list(context: Context, _: NoParams) -> list[JsonObject]:
@@ -184,7 +303,7 @@ def corrections_status(context: Context, _: NoParams) -> JsonObject:
 _LINK = (error_codes.LINK_ERROR, error_codes.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
-    Method("links.list", NoParams, links_list, list[dict[str, Any]], always=True),
+    Method("links.list", NoParams, links_list, list[LinkState], always=True),
     Method("links.add", LinkAddParams, links_add, list[dict[str, Any]], _LINK, reach="nothing"),
     Method("links.change", LinkParams, links_change, list[dict[str, Any]], _LINK, reach="nothing"),
     Method("links.remove", LinkNameParams, links_remove, list[dict[str, Any]], _LINK, reach="nothing"),

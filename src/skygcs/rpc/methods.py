@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import Field
 
+from skygcs.core.alarms import EventSeverity
 from skygcs.rpc import (
     alarms,
     control,
@@ -33,6 +34,9 @@ class EventRecord(Result):
     kind: str
     vehicle: str | None
     sysid: int | None
+    severity: EventSeverity = Field(
+        description="alarm: a person has to look now; warning: a change to the worse; info."
+    )
     text: str
     data: dict[str, Any]
 

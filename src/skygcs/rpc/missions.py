@@ -125,6 +125,20 @@ class PlanDownload(Result):
     rally: list[dict[str, Any]]
 
 
+class MissionTransfer(Result):
+    what: str
+    percent: int | None
+    sent: int
+
+
+class MissionTurn(Result):
+    """Turn of a vehicle in missions flown one after another."""
+
+    turn: int
+    of: int
+    state: Literal["flies", "waits", "done"]
+
+
 class MissionStatus(Result):
     """Report of a vehicle about its mission."""
 
@@ -134,14 +148,12 @@ class MissionStatus(Result):
     state: str | None = Field(description="no mission, not started, active, paused, complete; null: not reported.")
     counts: dict[str, int | None] = Field(description="Items per list, as last sent or read; null: not known.")
     opaque_ids: dict[str, int | None] = Field(description="The vehicle's own numbers for its lists (PX4).")
-    transfer: dict[str, Any] | None = Field(description="what, percent, sent of the transfer in progress.")
+    transfer: MissionTransfer | None = Field(description="The one in progress.")
     last: dict[str, dict[str, Any] | None] = Field(
         description="How the last transfer of each list ended: an outcome, with state (complete, cleared, unchanged, "
         "partial or unknown: what the vehicle holds) and the same as a sentence in message."
     )
-    turn: dict[str, Any] | None = Field(
-        description="turn, of, state (flies, waits, done) of missions flown one after another; null: they are not."
-    )
+    turn: MissionTurn | None = Field(description="Null: missions are not flown one after another.")
     fence: dict[str, Any] | None = Field(description="Fields of FENCE_STATUS; null: it sends none (PX4).")
 
 
@@ -272,11 +284,18 @@ class FenceTestParams(TargetsParams):
     timeout_s: float = Field(120.0, ge=5, le=1800, description="Time for the walk.")
 
 
+class HomeFence(Result):
+    """The fence about home; of fence.status also breached, breaches, from_home_m, last_text."""
+
+    enabled: bool | None
+    action: str | None
+    radius_m: float | None
+    height_m: float | None
+    follows_list: bool | None = Field(description="Whether polygons and circles are watched.")
+
+
 class FenceResult(OutcomeResult):
-    fence: dict[str, Any] | None = Field(
-        description="enabled, action, radius_m, height_m, follows_list (whether polygons and circles are watched); "
-        "of fence.status also breached, breaches, from_home_m, last_text."
-    )
+    fence: HomeFence | None
     record: dict[str, Any] | None = Field(description="Of fence.test: what was seen, and the file that holds it.")
 
 

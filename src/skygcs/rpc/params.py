@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -166,13 +166,23 @@ class ParamListResults(Result):
     lists: dict[str, ParamsOfVehicle] = Field(description="By vehicle's name.")
 
 
+class ParamLoading(Result):
+    """A list that is on its way."""
+
+    received: int
+    count: int | None
+    percent: int | None
+    elapsed_s: float
+    remaining_s: float | None
+
+
 class ParamStatus(Result):
     """State of a vehicle's parameters: what is known, and what is in progress."""
 
     known: int
     complete: bool
     hash: int | None = Field(description="PX4's hash over all values, if the vehicle has confirmed what is known.")
-    loading: dict[str, Any] | None = Field(description="received, count, percent, elapsed_s, remaining_s of a list.")
+    loading: ParamLoading | None
     in_progress: int = Field(description="Requests that are not answered yet.")
 
 
@@ -337,8 +347,10 @@ class PreflightFinding(Result):
     """One check's verdict."""
 
     check: str = Field(description="What was checked; a parameter's name for those of the fleet file.")
-    verdict: str = Field(description="pass, fail, unknown (which is no pass) or skipped (nothing is expected of it).")
-    severity: str = Field(description="Of a failure: danger, fault, note.")
+    verdict: Literal["pass", "fail", "unknown", "skipped"] = Field(
+        description="unknown is no pass; skipped: nothing is expected of it."
+    )
+    severity: Literal["danger", "fault", "note"] = Field(description="Of a failure.")
     text: str = Field(description="What was found, with the figure and the limit.")
     todo: str = Field(description="What to do about it.")
     fixes: list[PreflightFix]
@@ -367,7 +379,7 @@ class PreflightAnswer(Result):
 class PreflightStatus(Result):
     """Findings about a vehicle without asking it again."""
 
-    state: str = Field(description="never (since it started), failed, passed, expired.")
+    state: Literal["never", "failed", "passed", "expired"] = Field(description="never: not since it started.")
     required: bool = Field(description="Whether it is armed only with a pass (require_preflight).")
     age_s: float | None
     valid_s: float | None = Field(description="How long its pass still lasts; null without one.")

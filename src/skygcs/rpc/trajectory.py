@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DEGREE
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
+from skygcs.core.vehicle.state import Vec3
 from skygcs.errors import RefusedError, TrajectoryError
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, one_vehicle, resolve
@@ -61,12 +62,19 @@ class TrajectorySpeedParams(TargetsParams):
     speed: SpeedFactor = Field(description="Multiple of the planned speed; it is reached on a ramp.")
 
 
+class TrajectoryOfVehicle(Result):
+    """One that is loaded or flown; also speed_max_mps, acceleration_max_mps2, box_m, with, left, flight."""
+
+    vehicle: str
+    name: str
+    pieces: int
+    duration_s: float
+    start_enu_m: Vec3
+
+
 class TrajectoryStatus(Result):
     now_s: float = Field(description="The daemon's clock, for at_s.")
-    trajectories: list[dict[str, Any]] = Field(
-        description="Of each vehicle that has one: vehicle, name, pieces, duration_s, start_enu_m, speed_max_mps, "
-        "acceleration_max_mps2, box_m, with, left, flight."
-    )
+    trajectories: list[TrajectoryOfVehicle] = Field(description="Of each vehicle that has one.")
 
 
 class TrajectoryPathsParams(ListParams):
@@ -75,11 +83,16 @@ class TrajectoryPathsParams(ListParams):
     )
 
 
+class TrajectoryPath(Result):
+    vehicle: str
+    name: str
+    flown: bool
+    points_enu_m: list[Vec3] = Field(description="At equal times; for pictures.")
+
+
 class TrajectoryPaths(Result):
     key: str = Field(description="Another one when a trajectory is loaded, begun, ended or unloaded.")
-    paths: list[dict[str, Any]] | None = Field(
-        description="Of each vehicle that has one: vehicle, name, flown, points_enu_m at equal times; for pictures."
-    )
+    paths: list[TrajectoryPath] | None = Field(description="Of each vehicle that has one.")
 
 
 async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> JsonObject:

@@ -49,6 +49,7 @@ class AlarmBook:
         self._disk = disk
         self._alarms = Alarms()
         self._writing = self._changed = self._failed = False
+        events.facts = lambda name: _facts(self._vehicle(name))
         for kind in RULES:
             events.on(kind, self._on_event)
 
@@ -92,12 +93,14 @@ class AlarmBook:
     # -- private
 
     def _on_event(self, event: Event) -> None:
-        vehicle = next((v for v in self._vehicles() if v.name == event.vehicle), None)
+        vehicle = self._vehicle(event.vehicle)
         if vehicle is not None and vehicle.replayed:
             return
-        facts = VehicleFacts(None if vehicle is None else vehicle.armed)
-        for signal in signals(event, facts):
+        for signal in signals(event, _facts(vehicle)):
             self._take(signal, logged=True)
+
+    def _vehicle(self, name: str | None) -> Vehicle | None:
+        return None if name is None else next((v for v in self._vehicles() if v.name == name), None)
 
     def _take(self, signal: Signal, *, logged: bool) -> None:
         """Take in a signal, and publish the alarm that it raises. ``logged``: the event of the signal is in the log."""
@@ -137,6 +140,10 @@ class AlarmBook:
 
     def _report(self, text: str) -> None:
         self._events.publish(Event("warning", None, None, text, {"file": str(self._path)}))
+
+
+def _facts(vehicle: Vehicle | None) -> VehicleFacts:
+    return VehicleFacts(None if vehicle is None else vehicle.armed)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import structlog
 
-from skygcs.core.alarms import VehicleFacts, signals
+from skygcs.core.alarms import VehicleFacts, event_record, signals
 from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.events import Event
 
@@ -37,6 +37,8 @@ class EventLog:
         """Oldest first, at most MAX_EVENTS."""
         self.counts: Counter[str] = Counter()
         """Events by kind since the start, those not logged included."""
+        self.facts: Callable[[str | None], VehicleFacts] = lambda _: VehicleFacts()
+        """Known facts of the vehicle of a name, for the severity of its events."""
         self._kept: Counter[str] = Counter()
         self._now = now
         self._limiter = EventLimiter()
@@ -78,14 +80,7 @@ class EventLog:
 
     def _log(self, event: Event) -> None:
         """Log the event, keep it, pass it to subscribers. A subscriber that fails is removed."""
-        record = {
-            "time_unix_s": round(time.time(), 3),
-            "kind": event.kind,
-            "vehicle": event.vehicle,
-            "sysid": event.sysid,
-            "text": event.text,
-            "data": event.data,
-        }
+        record = event_record(event, time.time(), self.facts(event.vehicle))
         self._keep(record)
         level = log.warning if _is_warning(event) else log.debug if event.kind in QUIET_KINDS else log.info
         level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))

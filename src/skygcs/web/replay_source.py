@@ -20,6 +20,7 @@ import structlog
 
 from skygcs import __version__
 from skygcs.config.files import open_regular
+from skygcs.core.alarms import VehicleFacts, event_record
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import RpcError, SkygcsError
 from skygcs.events import Event
@@ -134,14 +135,7 @@ class Recording:
 
     def record(self, event: Event, at_s: float) -> dict[str, Any]:
         """An event as pages get it."""
-        return {
-            "time_unix_s": round((self.start_unix_s or 0.0) + at_s, 3),
-            "kind": event.kind,
-            "vehicle": event.vehicle,
-            "sysid": event.sysid,
-            "text": event.text,
-            "data": event.data,
-        }
+        return event_record(event, (self.start_unix_s or 0.0) + at_s, VehicleFacts())
 
     def close(self) -> None:
         self._file.close()

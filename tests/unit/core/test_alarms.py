@@ -9,7 +9,17 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.alarms import CONSEQUENCES, MAX_ALARMS, RULES, Alarms, Signal, VehicleFacts, battery, signals
+from skygcs.core.alarms import (
+    CONSEQUENCES,
+    MAX_ALARMS,
+    RULES,
+    Alarms,
+    Signal,
+    VehicleFacts,
+    battery,
+    severity_of,
+    signals,
+)
 from skygcs.events import Event
 from skygcs.rpc.client import EVENT_KINDS
 from support.table import each
@@ -193,3 +203,52 @@ def test_the_number_of_alarms_is_bounded_and_those_that_last_stay() -> None:
 def test_a_cause_is_no_consequence_of_its_own_consequence() -> None:
     for cause, effects in CONSEQUENCES.items():
         assert not any(cause in CONSEQUENCES.get(effect, ()) for effect in effects)
+
+
+SEVERITY_CASES = {
+    "a failsafe": (event("failsafe", failsafe=True), FLYING, "alarm"),
+    "its end": (event("failsafe", failsafe=False), FLYING, "info"),
+    "lost in the air": (event("vehicle_lost", age_s=3.0), FLYING, "alarm"),
+    "lost, nobody knows where": (event("vehicle_lost", age_s=3.0), VehicleFacts(), "alarm"),
+    "lost on the ground": (event("vehicle_lost", age_s=3.0), STANDING, "warning"),
+    "lost, and forgotten": (event("vehicle_lost", forgotten=True), FLYING, "warning"),
+    "a conflict that comes": (event("separation", level="notice"), FLYING, "warning"),
+    "a conflict": (event("separation", level="action"), FLYING, "alarm"),
+    "a conflict's end": (event("separation", level="none"), FLYING, "info"),
+    "the recorder stopped": (event("recorder", None, recording=False, error="no space"), FLYING, "alarm"),
+    "the recorder lost something": (event("recorder", None, recording=True, lost=12), FLYING, "warning"),
+    "the recorder is back": (event("recorder", None, recording=True, lost=0), FLYING, "info"),
+    "a fence that was set": (event("fence", order="set"), FLYING, "info"),
+    "a stop that was not obeyed": (event("command", order="stop", ok=False, result="timeout"), FLYING, "alarm"),
+    "a stop that was cancelled": (event("command", order="stop", ok=False, result="cancelled"), FLYING, "warning"),
+    "an order that failed": (event("command", outcome={"ok": False}), FLYING, "warning"),
+    "an order that was denied": (event("command", result="denied"), FLYING, "warning"),
+    "an order that was done": (event("command", result="accepted"), FLYING, "info"),
+    "a critical text": (event("statustext", text="Crash: Disarming", level=1), FLYING, "alarm"),
+    "a critical text on the ground": (event("statustext", text="Crash: Disarming", level=1), STANDING, "warning"),
+    "a refusal to arm": (event("statustext", text="PreArm: Compass not calibrated", level=2), FLYING, "warning"),
+    "a warning text": (event("statustext", level=4), FLYING, "warning"),
+    "a plain text": (event("statustext", level=6), FLYING, "info"),
+    "a text without a level": (event("statustext", level="none"), FLYING, "info"),
+    "nobody at the controls": (event("warning", None, action="land", vehicles=["a"]), FLYING, "alarm"),
+    "a warning": (event("warning", None), FLYING, "warning"),
+    "a link that broke": (event("link_down", None), FLYING, "warning"),
+    "a link that has reached its end": (event("link_down", None, finished=True), FLYING, "info"),
+    "an alarm of a state": (event("alarm", change="raised", logged=False, severity="alarm"), FLYING, "alarm"),
+    "an alarm of an event": (event("alarm", change="raised", logged=True, severity="alarm"), FLYING, "info"),
+    "an alarm that was seen": (event("alarm", change="acknowledged", logged=True, severity="alarm"), FLYING, "info"),
+    "a kind that nobody knows": (event("unheard_of"), FLYING, "info"),
+}
+
+
+@each("what", SEVERITY_CASES)
+def test_an_event_is_as_serious_as_the_alarm_it_raises(what: str) -> None:
+    given, facts, severity = SEVERITY_CASES[what]
+    assert severity_of(given, facts) == severity
+
+
+@each("kind", CASES)
+def test_what_ends_an_alarm_is_no_alarm(kind: str) -> None:
+    begun, ended = CASES[kind]
+    assert severity_of(begun, FLYING) == next(s.severity for s in signals(begun, FLYING) if s.raised)
+    assert ended is None or severity_of(ended, FLYING) == "info"

@@ -7,7 +7,7 @@ are their descriptions in `rpc.discover`.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, NotRequired
 
 from typing_extensions import TypedDict  # typing's is not described by pydantic before Python 3.12
 
@@ -42,8 +42,139 @@ def name_of(names: tuple[str, ...], value: int) -> str:
     return names[value] if 0 <= value < len(names) else str(value)
 
 
+Vec3 = tuple[float, float, float]
+
 Part = dict[str, Any]
 """One telemetry group; see `core.vehicle.decoding` for its keys, plus ``age_s``."""
+
+
+class Aged(TypedDict):
+    age_s: float
+
+
+class GpsPart(Aged):
+    fix: str
+    fix_type: int
+    satellites: int | None
+    hdop: float | None
+    vdop: float | None
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_amsl_m: float | None
+    time_usec: int
+
+
+class PositionPart(Aged):
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_amsl_m: float | None
+    alt_rel_m: float | None
+    """Above home."""
+    heading_deg: float | None
+    """Clockwise from true north."""
+    vel_enu_mps: Vec3 | None
+    """True east, north, up."""
+    time_boot_s: float
+    takeoff_alt_amsl_m: float | None
+    """The ground it took off from; null if it was not seen there."""
+    alt_takeoff_m: float | None
+    """Height above it."""
+    enu_m: Vec3 | None
+    """In the fleet's frame, as all that follow; null without an origin."""
+    vel_world_mps: Vec3 | None
+    yaw_world_deg: float | None
+    """Counter-clockwise from the frame's x axis."""
+    origin_generation: int | None
+
+
+class AttitudePart(Aged):
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    """Clockwise from north."""
+    rates_dps: list[float | None]
+    quaternion: list[float | None]
+    """w, x, y, z"""
+    time_boot_s: float
+
+
+class BatteryPart(Aged):
+    volts: float | None
+    amps: float | None
+    percent: int | None
+    consumed_mah: int | None
+    temperature_degc: float | None
+    remaining_s: int | None
+
+
+class HomePart(Aged):
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float | None
+
+
+class VfrPart(Aged):
+    airspeed_mps: float | None
+    groundspeed_mps: float | None
+    heading_deg: int
+    throttle_percent: int
+    alt_m: float | None
+    climb_mps: float | None
+
+
+class MissionPart(Aged):
+    item: int | None
+    """The current one, from 1; 0: an ArduPilot's home."""
+    seq: int | None
+    """That on the wire."""
+    count: int | None
+    last_ack: str | None
+    """The answer of the last transfer."""
+
+
+class UplinkPart(Aged):
+    """``age_s``: since its last answer."""
+
+    heard: bool
+    """True if it answers our requests."""
+    unanswered: int
+    """Number of requests since its last answer."""
+    rtt_s: float | None
+
+
+class SeparationPart(TypedDict("Other", {"with": str})):
+    """Its most urgent conflict with another vehicle. It has no age_s: it is of the last evaluation."""
+
+    level: Literal["notice", "warning", "action"]
+    distance_m: NotRequired[float]
+    """This and what follows only while a conflict is predicted; a level falls some seconds after that."""
+    closest_m: NotRequired[float]
+    closest_in_s: NotRequired[float]
+    enters_in_s: NotRequired[float]
+    margin_m: NotRequired[float]
+
+
+class CompanionPart(TypedDict):
+    name: str | None
+    link: Literal["connecting", "up", "down"] | None
+    """Null: the fleet file gives it no `rpc`."""
+    since_s: float | None
+    error: str | None
+    """Why it is not up."""
+    version: str | None
+    age_s: float | None
+    """Since MAVLink of an onboard computer came; null: never."""
+
+
+class LinkPart(Aged):
+    frames: int
+    bytes: int
+    lost: int
+    loss_ratio: float | None
+    frames_per_s: float
+    bytes_per_s: float
+    chosen: NotRequired[bool]
+    """True for the one in use, of a vehicle that is heard on several."""
 
 
 class StatusTextEntry(TypedDict):
@@ -112,50 +243,35 @@ class VehicleState(TypedDict):
     null: any other vehicle"""
     control: Part | None
     """Control by setpoints, as in control.status; null: skygcs does not control it."""
-    uplink: Part | None
-    """heard (true if it answers our requests), unanswered (number of requests since its last answer), rtt_s, age_s
-    (time since its last answer); null: not known"""
-    separation: Part | None
-    """Its most urgent conflict with another vehicle, as in monitor.status: level, with, distance_m, closest_m,
-    closest_in_s, enters_in_s, margin_m; null: none. It has no age_s: it is of the last evaluation"""
+    uplink: UplinkPart | None
+    separation: SeparationPart | None
     calibration: Part | None
     """The calibration that runs: sensor, percent, pose (level, left, right, nose_down, nose_up, upside_down), confirm
     (it waits for vehicles.calibrate_confirm), pending (poses a PX4 still wants), text; null: none runs"""
-    companion: Part | None
-    """The computer on the vehicle: name, link (connecting, up, down; null: the fleet file gives it no `rpc`), since_s,
-    error (why it is not up), version, age_s (since MAVLink of an onboard computer came; null: never); null: none is
-    known"""
-    gps: Part | None
-    """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
-    position: Part | None
-    """lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps (true east, north, up), time_boot_s;
-    takeoff_alt_amsl_m and alt_takeoff_m (the ground it took off from and the height above it; null if it was not seen
-    on the ground); in the fleet's frame: enu_m, vel_world_mps, yaw_world_deg, origin_generation"""
+    companion: CompanionPart | None
+    """The computer on the vehicle; null: none is known."""
+    gps: GpsPart | None
+    position: PositionPart | None
     local: Part | None
     """The autopilot's own frame, rotated to ENU: pos_enu_m, vel_enu_mps, time_boot_s"""
-    attitude: Part | None
-    """roll_deg, pitch_deg, yaw_deg (clockwise from north), rates_dps, quaternion (w, x, y, z)"""
-    battery: Part | None
-    """volts, amps, percent, consumed_mah, temperature_degc, remaining_s"""
-    home: Part | None
-    """The autopilot's home: lat_deg, lon_deg, alt_amsl_m"""
+    attitude: AttitudePart | None
+    battery: BatteryPart | None
+    home: HomePart | None
+    """The autopilot's home."""
     ekf_origin: Part | None
     """The autopilot's local origin: lat_deg, lon_deg, alt_amsl_m"""
     estimator: Part | None
     """flags, ok (good enough to navigate by), names, ratios, accuracy_m"""
     sensors: Part | None
     """present, enabled, health, unhealthy: lists of names; load_percent"""
-    vfr: Part | None
-    """airspeed_mps, groundspeed_mps, heading_deg, throttle_percent, alt_m, climb_mps"""
+    vfr: VfrPart | None
     rc: Part | None
     """channels, rssi"""
     imu: Part | None
     """accel_mps2, gyro_radps, mag_gauss, pressure_hpa, temperature_degc"""
     servos: Part | None
     """pwm_us"""
-    mission: Part | None
-    """item (the current one, from 1; 0: an ArduPilot's home), seq (that on the wire), count, last_ack (of the last
-    transfer)"""
+    mission: MissionPart | None
     target_global: Part | None
     """The autopilot's target: lat_deg, lon_deg, alt_m and more"""
     target_local: Part | None
@@ -173,5 +289,5 @@ class VehicleState(TypedDict):
     """All components heard of its system, its autopilot among them."""
     messages: dict[str, MessageRate]
     """Rate and count by message name."""
-    links: dict[str, Any]
-    """By link: frames, bytes, lost, loss_ratio, frames_per_s, bytes_per_s, age_s."""
+    links: dict[str, LinkPart]
+    """By link."""

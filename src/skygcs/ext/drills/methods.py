@@ -29,7 +29,7 @@ class DrillEndParams(TargetsParams):
 class DrillFault(Result):
     """A fault that can be begun."""
 
-    fault: str
+    fault: FaultName
     text: str
     unit: str | None = Field(description="Of its value; null: it has none.")
     default: float | None
@@ -41,7 +41,7 @@ class ActiveDrillFault(Result):
     """A fault that lasts."""
 
     vehicle: str
-    fault: str
+    fault: FaultName
     text: str
     value: float | None
     lasts_s: float

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field, model_validator
 
+from skygcs.core.vehicle.state import Vec3
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.ext.formation.formation_flight import WantedFlight
 from skygcs.ext.formation.leader import Demand, Fly, GoTo, Stay
@@ -90,7 +91,7 @@ class FormationMember(Result):
     """One follower."""
 
     vehicle: str
-    place_enu_m: list[float] = Field(description="Where it is to be now.")
+    place_enu_m: Vec3 = Field(description="Where it is to be now.")
     off_place_m: float | None = Field(description="Its distance from there, as measured; null: not seen.")
     at_place: bool
     hindered: bool = Field(description="Another is in its way.")
@@ -105,7 +106,7 @@ class FormationStatus(Result):
     reason: str = Field("", description="Why it stops.")
     settled: bool = Field(False, description="The leader rests, and all members are within a metre of their places.")
     leader: str | None = Field(None, description="The vehicle that leads, virtual, or program (formation.guide).")
-    middle_enu_m: list[float] | None = Field(None, description="Where the leader is.")
+    middle_enu_m: Vec3 | None = Field(None, description="Where the leader is.")
     vel_enu_mps: list[float] | None = None
     heading_deg: float | None = None
     scale: float | None = None

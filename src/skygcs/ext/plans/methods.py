@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
+from skygcs.core.vehicle.state import Vec3
 from skygcs.errors import PlanFileError
 from skygcs.ext.plans import planning_methods
 from skygcs.ext.plans.flight.flight_steps import starts_of
@@ -96,24 +97,39 @@ class LoadedPlan(Result):
     phases: list[str]
 
 
+class PlanFinding(Result):
+    vehicle: str | None = Field(description="null: all.")
+    check: str
+    severity: Literal["ok", "note", "warning", "refused"]
+    text: str
+    todo: str
+    command: str | None = Field(description="What clears a refusal; FILE: the plan's.")
+    insist: bool = Field(description="Whether force passes it.")
+
+
+class PlanStep(Result):
+    name: str
+    duration_s: float | None
+    goals: dict[str, Vec3]
+
+
 class PlanReport(Result):
     """Findings before a flight."""
 
     ok: bool = Field(description="Whether it may be flown (with force: if that was given).")
     by: Literal["goto", "setpoints", "onboard", "mission"] = Field(description="The way in which it is flown.")
     why: str = Field(description="Why it is that way.")
-    findings: list[dict[str, Any]] = Field(
-        description="vehicle (null: all), check, severity (ok, note, warning, refused), text, todo, command (what "
-        "clears a refusal; FILE: the plan's), insist (whether force passes it)."
-    )
+    findings: list[PlanFinding]
     certificate: dict[str, Any] | None = Field(description="Of the plan, with what is measured now.")
     way_there: dict[str, Any] | None = Field(description="The certificate of the way to the starts.")
     margins: dict[str, dict[str, list[Any]]] = Field(
         description="By vehicle: each term, and whether it is measured, of the fleet file or a default."
     )
     duration_s: float = Field(description="Way and plan, at the planned speed.")
-    steps: list[dict[str, Any]] = Field(description="name, duration_s, goals; the first 50.")
-    return_heights: dict[str, list[Any]] = Field(description="By vehicle: is, offered (m), the parameter.")
+    steps: list[PlanStep] = Field(description="The first 50.")
+    return_heights: dict[str, tuple[float | None, float, str]] = Field(
+        description="By vehicle: is, offered (m), the parameter."
+    )
 
 
 class PlanStarted(Result):
@@ -125,6 +141,26 @@ class PlanOrderAnswer(Result):
     ok: bool
     message: str
     reasons: list[str] = Field(description="Why not: each pair with its distance and margin, each vehicle.")
+
+
+class StepClock(Result):
+    state: str
+    trajectory_s: float
+    duration_s: float
+    rate: float
+    speed_factor: float
+    finishes_in_s: float | None
+
+
+class VehicleInPlan(Result):
+    vehicle: str
+    state: str
+    error_m: float | None = Field(description="From its reference or its way.")
+    tube_m: float | None = Field(description="How far it may be.")
+    pos_enu_m: Vec3 | None
+    goal_enu_m: Vec3 | None
+    position_age_s: float | None
+    left: str | None = Field(description="Why it does not follow.")
 
 
 class PlanStatus(Result):
@@ -144,15 +180,10 @@ class PlanStatus(Result):
     by: str | None = Field(description="goto, setpoints, onboard or mission.")
     mode: str | None = Field(description="The control mode; null by goto.")
     speed: float | None
-    clock: dict[str, Any] | None = Field(
-        description="Of the step: state, trajectory_s, duration_s, rate, speed_factor, finishes_in_s."
-    )
+    clock: StepClock | None = Field(description="Of the step.")
     waits_for: list[str] = Field(description="Vehicles that are not where they have to be before it goes on.")
     pairs: list[dict[str, Any]] = Field(description="In danger when it was stopped: vehicles, distance_m, margin_m.")
-    vehicles: list[dict[str, Any]] = Field(
-        description="vehicle, state, error_m (from its reference or its way), tube_m (how far it may be), pos_enu_m, "
-        "goal_enu_m, position_age_s, left (why it does not follow)."
-    )
+    vehicles: list[VehicleInPlan]
 
 
 def plan_upload(context: Context, params: PlanUploadParams) -> JsonObject:

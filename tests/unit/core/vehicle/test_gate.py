@@ -330,7 +330,7 @@ MAKES = {
     },  # texts to programs; RTCM cut anew
     "_row_clearance": {"core/vehicle/gate.py"},
     "encode_payload": {
-        *("links/base.py", "core/mavlink/frame.py", "core/routing/sysid_translation.py"),
+        *("core/radio_link/transmit_queue.py", "core/mavlink/frame.py", "core/routing/sysid_translation.py"),
         "ext/radio_tools/link_probe.py",
     },
 }

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.geo import Origin
@@ -23,6 +24,7 @@ from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LAND, PX4_POSCTL, PX4_TAK
 
 DECODER = Decoder(flight_dialect())
 NAN = math.nan
+DESCRIBED = TypeAdapter(VehicleState)
 
 
 def new() -> tuple[Vehicle, Voice]:
@@ -30,11 +32,12 @@ def new() -> tuple[Vehicle, Voice]:
 
 
 def reported(vehicle: Vehicle, *frames: Frame, now: float = 10.0) -> Any:
-    """The state after these frames, and proof that it is JSON."""
+    """The state after these frames, and proof that it is JSON and what is described."""
     for frame in frames:
         vehicle.on_frame(frame, now)
     state = take_snapshot(vehicle, now)
     json.dumps(state, allow_nan=False)
+    DESCRIBED.validate_python(state)
     return state
 
 

@@ -18,6 +18,7 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import Any
 
 from skygcs.config.models import FleetConfig
+from skygcs.core.alarms import VehicleFacts, event_record
 from skygcs.core.separation import Footprint
 from skygcs.events import Event
 from skygcs.ext.federation.protocol.own_states import OwnStates
@@ -74,7 +75,7 @@ class ConflictWatch:
         self.took_s = took_s + time.thread_time() - begun
         events, self.conflicts.events = self.conflicts.events, []
         for event in events:
-            await self._send(event, as_dict(event))
+            await self._send(event, event_record(event, time.time(), VehicleFacts()))
 
     def described(self) -> list[dict[str, Any]]:
         """The conflicts now, the most urgent first; for federation.sites."""
@@ -114,15 +115,3 @@ class ConflictWatch:
             footprint=footprint,
             shared=row.name in self._shared,
         )
-
-
-def as_dict(event: Event) -> dict[str, Any]:
-    """The event in the form of the daemon's events."""
-    return {
-        "time_unix_s": round(time.time(), 3),
-        "kind": event.kind,
-        "vehicle": event.vehicle,
-        "sysid": event.sysid,
-        "text": event.text,
-        "data": dict(event.data),
-    }

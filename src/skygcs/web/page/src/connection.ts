@@ -1,7 +1,7 @@
 // The WebSocket: JSON-RPC calls, orders with a deadline, notifications, and a new socket with back-off when one is lost.
 // An order is sent once or not at all: what was pending when a socket was lost is reported as such, never sent again.
 
-import type { Outcome } from "./types.ts";
+import type { Method, Outcome, OwnMethod, Params, Results } from "./types.ts";
 
 export const FIRST_RETRY_MS = 500;
 export const LONGEST_RETRY_MS = 5_000;
@@ -174,17 +174,21 @@ export class Connection {
   }
 
   /** A request that changes nothing. Rejects with RpcError, NotConnected, ConnectionLost or NoAnswer. */
-  call<T>(method: string, params: object = {}, options: CallOptions = {}): Promise<T> {
-    return this.request<T>({ method, params }, options.timeoutMs === undefined ? CALL_TIMEOUT_MS : options.timeoutMs);
+  call<M extends Method>(method: M, params?: Params[M], options?: CallOptions): Promise<Results[M]>;
+  call<T>(method: OwnMethod, params?: object, options?: CallOptions): Promise<T>;
+  call(method: string, params: object = {}, options: CallOptions = {}): Promise<unknown> {
+    return this.request({ method, params }, options.timeoutMs === undefined ? CALL_TIMEOUT_MS : options.timeoutMs);
   }
 
   /** A request that changes something: the server refuses it once `withinS` have passed. Sent once, never again.
    * `onReport` gets what becomes of each vehicle while the order is under way. */
-  order<T>(method: string, params: object, withinS = ORDER_DEADLINE_S, onReport?: OnReport): Promise<T> {
+  order<M extends Method>(method: M, params: Params[M], withinS?: number, onReport?: OnReport): Promise<Results[M]>;
+  order<T>(method: OwnMethod, params: object, withinS?: number, onReport?: OnReport): Promise<T>;
+  order(method: string, params: object, withinS = ORDER_DEADLINE_S, onReport?: OnReport): Promise<unknown> {
     const now_s = this.serverNowS();
     if (now_s === null) return Promise.reject(new NotConnected());
     const message = { method, params, deadline_s: round3(now_s + withinS) };
-    return onReport === undefined ? this.request<T>(message, null) : this.request<T>({ ...message, report: true }, null, onReport);
+    return onReport === undefined ? this.request(message, null) : this.request({ ...message, report: true }, null, onReport);
   }
 
   /** Reports that a person touched the page: at most once a second, and only what the browser itself calls trusted. */
@@ -200,11 +204,11 @@ export class Connection {
     return this.clock === null ? null : this.clock.now_s + (this.env.nowMs() - this.clock.atMs) / 1000;
   }
 
-  private request<T>(message: object, timeoutMs: number | null, onReport?: OnReport): Promise<T> {
+  private request(message: object, timeoutMs: number | null, onReport?: OnReport): Promise<unknown> {
     const socket = this.socket;
     if (!this.open || socket === null) return Promise.reject(new NotConnected());
     const id = this.nextId++;
-    return new Promise<T>((resolve, reject) => {
+    return new Promise((resolve, reject) => {
       const cancelTimer =
         timeoutMs === null
           ? () => undefined
@@ -212,7 +216,7 @@ export class Connection {
               this.pending.delete(id);
               reject(new NoAnswer(timeoutMs / 1000));
             }, timeoutMs);
-      this.pending.set(id, { resolve: resolve as (value: unknown) => void, reject, cancelTimer, onReport });
+      this.pending.set(id, { resolve, reject, cancelTimer, onReport });
       try {
         socket.send(JSON.stringify({ jsonrpc: "2.0", id, ...message }));
       } catch {

@@ -5,6 +5,7 @@ import { useStore } from "./hooks.ts";
 import { sendOrder } from "./orders.ts";
 import { mayOrder } from "./panels/calls.ts";
 import { usePolled } from "./panels/parts.tsx";
+import type { ActiveDrillFault, DrillFault } from "./rpc_types.ts";
 import type { Store } from "./store.ts";
 
 /** More are counted. */
@@ -13,7 +14,7 @@ const SHOWN = 4;
 export function DrillBar({ store, connection }: { store: Store; connection: Connection }) {
   const there = useStore(store, (state) => state.daemon?.drills === true && state.daemon.connected);
   const orders = useStore(store, mayOrder);
-  const { answer } = usePolled<DrillsStatus>(store, connection, there ? STATUS : null, {}, STATUS_EVERY_MS);
+  const { answer } = usePolled(store, connection, there ? STATUS : null, {}, STATUS_EVERY_MS);
   const active = there ? (answer?.active ?? []) : [];
   if (active.length === 0) return null;
   const everyone = [...new Set(active.map(({ vehicle }) => vehicle))];
@@ -30,38 +31,13 @@ export function DrillBar({ store, connection }: { store: Store; connection: Conn
   );
 }
 
-function Fault({ one, end }: { one: ActiveFault; end: (() => void) | null }) {
+function Fault({ one, end }: { one: ActiveDrillFault; end: (() => void) | null }) {
   return (
     <li>
       <span>{one.vehicle} {one.text} <span class="muted">{one.lasts_s.toFixed(0)} s</span></span>
       {end !== null && <button type="button" aria-label={`End ${one.text} of ${one.vehicle}`} onClick={end}>End</button>}
     </li>
   );
-}
-
-export interface DrillFault {
-  fault: string;
-  text: string;
-  /** Of its value; null: it has none. */
-  unit: string | null;
-  default: number | null;
-  least: number;
-  most: number;
-}
-
-export interface ActiveFault {
-  vehicle: string;
-  fault: string;
-  /** With its value: "wind, 8 m/s". */
-  text: string;
-  value: number | null;
-  lasts_s: number;
-}
-
-export interface DrillsStatus {
-  simulated: readonly string[];
-  faults: readonly DrillFault[];
-  active: readonly ActiveFault[];
 }
 
 export const STATUS = "drills.status";
@@ -72,6 +48,6 @@ export function beginFault(store: Store, connection: Connection, targets: readon
 }
 
 /** `fault` null: all that last in them. */
-export function endFault(store: Store, connection: Connection, targets: readonly string[], fault: string | null, text: string): void {
+export function endFault(store: Store, connection: Connection, targets: readonly string[], fault: ActiveDrillFault["fault"] | null, text: string): void {
   void sendOrder(store, connection, { label: `End of the drill: ${text}`, method: "drills.end", params: { fault }, targets });
 }

@@ -2,14 +2,15 @@
 
 import type { Connection } from "./connection.ts";
 import { useStore } from "./hooks.ts";
-import { linkHint, type Link } from "./link_hints.ts";
+import { linkHint } from "./link_hints.ts";
+import type { LinkState } from "./rpc_types.ts";
 import { Failure, usePolled } from "./panels/parts.tsx";
 import { countText } from "./format.ts";
 import type { Store } from "./store.ts";
 
 export function EmptyFleet({ store, connection }: { store: Store; connection: Connection }) {
   const asks = useStore(store, ({ hello, daemon }) => hello?.replay === false && daemon?.connected === true);
-  const links = usePolled<Link[]>(store, connection, asks ? "links.list" : null, {}, 2000);
+  const links = usePolled(store, connection, asks ? "links.list" : null, {}, 2000);
   return (
     <section class="emptyfleet" aria-label="No vehicle was heard yet">
       <h2>No vehicle was heard yet</h2>
@@ -22,7 +23,7 @@ export function EmptyFleet({ store, connection }: { store: Store; connection: Co
   );
 }
 
-function LinkRow({ link }: { link: Link }) {
+function LinkRow({ link }: { link: LinkState }) {
   const { bytes, frames, next, bad } = linkHint(link);
   return (
     <li data-link={link.name}>

@@ -69,7 +69,11 @@ export function HoldButton({ what, act, children, targets = [], disabled = false
   const about = `${what}\n${targets.join("\n")}`;
   useLayoutEffect(() => release, [about]);
   useWindowEvent("blur", letGo);
-  useWindowEvent("keydown", (event) => { if (isLetterFor(event, hotkey, button.current)) press(); });
+  useWindowEvent("keydown", (event) => {
+    if (isLetterFor(event, hotkey, button.current)) press();
+    // a Mac sends no keyup of a key that is let go while Cmd is down
+    if (event.metaKey || event.key === "Meta") letGo();
+  });
   useWindowEvent("keyup", (event) => { if (!disabled && event.key.toLowerCase() === hotkey) letGo(); });
 
   const isKey = (event: KeyboardEvent): boolean => event.key === " " || event.key === "Enter";

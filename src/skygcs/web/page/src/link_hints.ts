@@ -1,32 +1,6 @@
 // Why no vehicle is heard, link by link: what came through it, and what a person does next.
 
-/** A row of links.list. */
-export interface Link {
-  name: string;
-  type: string;
-  role: string;
-  state: string;
-  last_error: string | null;
-  /** UDP: they had no frame in them. */
-  ignored_datagrams?: number;
-  peers_refused?: number;
-  /** From addresses that allow_from leaves out. */
-  not_allowed?: number;
-  channels: readonly Channel[];
-}
-
-export interface Channel {
-  peer: string;
-  /** Of frames. */
-  rx_bytes?: number;
-  /** In no frame. */
-  skipped_bytes?: number;
-  good?: number;
-  unknown?: number;
-  sources?: Readonly<Record<string, unknown>>;
-  counters?: Readonly<Record<string, number>>;
-  [more: string]: unknown;
-}
+import type { LinkState } from "./rpc_types.ts";
 
 export interface Hint {
   bytes: number;
@@ -39,13 +13,13 @@ export interface Hint {
 
 const MAX_SOURCES = 4;
 
-export function linkHint(link: Link): Hint {
+export function linkHint(link: LinkState): Hint {
   const sum = (key: "rx_bytes" | "skipped_bytes" | "good" | "unknown"): number => link.channels.reduce((total, channel) => total + (channel[key] ?? 0), 0);
   const [bytes, frames] = [sum("rx_bytes") + sum("skipped_bytes"), sum("good")];
   return { bytes, frames, ...advice(link, bytes, frames, sum("unknown")) };
 }
 
-function advice(link: Link, bytes: number, frames: number, unknown: number): Pick<Hint, "next" | "bad"> {
+function advice(link: LinkState, bytes: number, frames: number, unknown: number): Pick<Hint, "next" | "bad"> {
   const good = (next: string): Pick<Hint, "next" | "bad"> => ({ next, bad: false });
   const bad = (next: string): Pick<Hint, "next" | "bad"> => ({ next, bad: true });
   if (link.state === "disabled") return good("Switched off in the fleet file.");
@@ -65,14 +39,14 @@ function advice(link: Link, bytes: number, frames: number, unknown: number): Pic
   return bad(silent(link));
 }
 
-function withoutHeartbeat(link: Link): string {
+function withoutHeartbeat(link: LinkState): string {
   const sources = [...new Set(link.channels.flatMap((channel) => Object.keys(channel.sources ?? {})))];
   const more = sources.length > MAX_SOURCES ? ` and ${sources.length - MAX_SOURCES} more` : "";
   const from = sources.length === 0 ? "" : ` from ${sources.slice(0, MAX_SOURCES).join(", ")}${more}`;
   return `Frames${from} and no heartbeat of an autopilot: is it the vehicle's other port, a ground station, or a filter (allow_msg_id_in)?`;
 }
 
-function silent(link: Link): string {
+function silent(link: LinkState): string {
   switch (link.type) {
     case "serial": return "No bytes: has the radio power, are both radios paired, is it the right port, are TX and RX crossed?";
     case "xbee": return "No bytes: have the radios power, and are they in the same network?";

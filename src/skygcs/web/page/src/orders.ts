@@ -4,13 +4,13 @@ import { type Connection, ConnectionLost, ORDER_DEADLINE_S, RpcError, STOP_DEADL
 import { siteOf } from "./levels.ts";
 import { isUnknown, lost, outcomeOf, stateOf } from "./outcomes.ts";
 import type { OrderRun, OrderState, Store } from "./store.ts";
-import type { Outcome, SiteAnswer } from "./types.ts";
+import type { Method, Outcome, Params, Results, SiteAnswer } from "./types.ts";
 
-export interface OrderRequest {
+export interface OrderRequest<M extends Method = Method> {
   /** As a person reads it: "Take off to 10 m". */
   label: string;
-  method: string;
-  params: object;
+  method: M;
+  params: Omit<Params[M], "targets">;
   /** Vehicles that it is for, or null: all that the daemon knows. */
   targets: readonly string[] | null;
   /** Another way to say who: all vehicles of all sites, be they known here or not. */
@@ -43,13 +43,13 @@ function readOutcomes(answer: unknown): ReturnType<Reader<unknown>> {
 
 /** Sends an order and keeps its course in the store: its answer, or null. Never rejects: what went wrong is the order's
  *  state, which `ended` is called with. */
-export async function runOrder<T>(
+export async function runOrder<M extends Method>(
   store: OrderStore,
   connection: Sender,
-  request: { label: string; method: string; params: object; targets: readonly string[]; withinS?: number | undefined; chain?: OrderChain | undefined },
-  read: Reader<T> = readOutcomes,
+  request: { label: string; method: M; params: Params[M]; targets: readonly string[]; withinS?: number | undefined; chain?: OrderChain | undefined },
+  read: Reader<Results[M]> = readOutcomes,
   ended: (state: OrderState) => void = () => undefined,
-): Promise<T | null> {
+): Promise<Results[M] | null> {
   const { label, method, targets, chain } = request;
   if (chain === undefined) takeOver(targets);
   else if (!chain.goesOn) {
@@ -66,7 +66,7 @@ export async function runOrder<T>(
     ended(state);
   };
   try {
-    const answer = await connection.order<T>(method, request.params, request.withinS ?? ORDER_DEADLINE_S, ({ vehicles = [], vehicle, outcome }) => {
+    const answer = await connection.order(method, request.params, request.withinS ?? ORDER_DEADLINE_S, ({ vehicles = [], vehicle, outcome }) => {
       const outcomes = vehicle === undefined || outcome === undefined ? {} : { [vehicle]: outcome };
       store.dispatch({ type: "orderReported", id, vehicles, outcomes });
     });
@@ -80,9 +80,9 @@ export async function runOrder<T>(
 }
 
 /** Sends an order that is for vehicles. */
-export async function sendOrder(store: OrderStore, connection: Sender, request: OrderRequest): Promise<OrderState> {
+export async function sendOrder<M extends Method>(store: OrderStore, connection: Sender, request: OrderRequest<M>): Promise<OrderState> {
   const { label, method, withinS, chain } = request;
-  const params = { targets: request.to ?? (request.targets === null ? "all" : [...request.targets]), ...request.params };
+  const params = { targets: request.to ?? (request.targets === null ? "all" : [...request.targets]), ...request.params } as Params[M];
   let state: OrderState = "pending";
   await runOrder(store, connection, { label, method, params, targets: request.targets ?? store.state.names, withinS, chain }, readOutcomes, (now) => { state = now; });
   return state;
@@ -98,7 +98,7 @@ export function sendStop(store: Store, connection: Connection): void {
   const { names, sites } = store.state;
   // the board shows the newest press
   for (const order of store.state.orders) if (isStop(order) && order.dismissed !== true) store.dispatch({ type: "orderDismissed", id: order.id });
-  const stop = { method: STOP_METHOD, params: {}, withinS: STOP_DEADLINE_S };
+  const stop = { method: STOP_METHOD as typeof STOP_METHOD, params: {}, withinS: STOP_DEADLINE_S };
   const others = names.filter((name) => siteOf(name) !== "");
   const ours = others.length === 0 ? null : names.filter((name) => siteOf(name) === "");
   if (ours === null || ours.length > 0) void sendOrder(store, connection, { ...stop, label: "STOP all", targets: ours, to: "all" });

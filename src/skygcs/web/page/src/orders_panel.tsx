@@ -83,7 +83,7 @@ function OrderButtons(props: ButtonsProps) {
   const holdNow = (): void => void send({ label: "Hold", method: "vehicles.hold", params: {} });
   // at once: it is the one order that makes things calmer
   useWindowEvent("keydown", (event) => { if (enabled && isLetterFor(event, "h", hold.current)) holdNow(); });
-  const held = (title: string, method: string, letter: string) => (
+  const held = (title: string, method: "vehicles.land" | "vehicles.rtl" | "vehicles.arm" | "vehicles.disarm", letter: string) => (
     <HoldButton targets={targets} class="order" hotkey={letter.toLowerCase()} disabled={!enabled} what={`${title} ${who}`} act={() => void send({ label: title, method, params: {} })}>
       <span>{title}</span><Key letter={letter} />
     </HoldButton>

@@ -7,7 +7,7 @@ import { useStore } from "./hooks.ts";
 import type { ButtonsProps } from "./order_parts.tsx";
 import { runOrder } from "./orders.ts";
 import { Check } from "./panels/parts.tsx";
-import type { Origin } from "./types.ts";
+import type { Method, Origin, Params } from "./types.ts";
 
 const DIGITS_DEG = 7;
 const FIELDS = [["lat", "Latitude, °"], ["lon", "Longitude, °"], ["alt", "Height, m AMSL"], ["heading", "Heading of x, °"]] as const;
@@ -22,10 +22,10 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
   const [nose, setNose] = useState(false);
   const [shown, setShown] = useState(false);
   useEffect(() => setFields(fieldsOf(origin)), [origin]);
-  const [lat_deg, lon_deg, alt_amsl_m, x_heading_deg] = FIELDS.map(([key]) => (fields[key].trim() === "" ? NaN : Number(fields[key])));
+  const [lat_deg = NaN, lon_deg = NaN, alt_amsl_m = NaN, x_heading_deg = NaN] = FIELDS.map(([key]) => (fields[key].trim() === "" ? NaN : Number(fields[key])));
   const valid = FIELDS.every(([key]) => fields[key].trim() !== "" && Math.abs(Number(fields[key])) <= (LIMITS[key] ?? 0));
   const one = targets.length === 1 ? targets[0] : undefined;
-  const order = (label: string, method: string, params: object): void => void runOrder(store, connection, { label, method, params, targets: [] });
+  const order = <M extends Method>(label: string, method: M, params: Params[M]): void => void runOrder(store, connection, { label, method, params, targets: [] });
   const click = (): void => {
     view.setTool({
       cursor: "crosshair",
@@ -58,7 +58,7 @@ export function OriginOrder({ store, connection, view, targets }: ButtonsProps) 
         </div>
         <div class="row">
           <HoldButton targets={one === undefined ? [] : [one]} disabled={!open || one === undefined} what={`Set the origin to where ${one ?? "the selected vehicle"} is`}
-            act={() => order(`Origin from ${one ?? ""}`, "origin.from_vehicle", { target: one, heading: nose })}>
+            act={() => one !== undefined && order(`Origin from ${one}`, "origin.from_vehicle", { target: one, heading: nose })}>
             {one === undefined ? "Where one vehicle is" : `Where ${one} is`}
           </HoldButton>
           <Check checked={nose} onChecked={setNose}>x along its nose</Check>

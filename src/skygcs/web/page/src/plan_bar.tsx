@@ -41,7 +41,7 @@ function LargestError({ status }: { status: PlanStatus }) {
 /** Pause or Resume, and Land: also in the plan's own panel. */
 export function PlanButtons({ store, connection, status }: { store: Store; connection: Connection; status: PlanStatus }) {
   const targets = status.vehicles.map(({ vehicle }) => vehicle);
-  const order = (label: string, method: string): void => void runOrder(store, connection, { label, method, params: {}, targets }, readMessage);
+  const order = (label: string, method: "plan.pause" | "plan.resume" | "plan.land"): void => void runOrder(store, connection, { label, method, params: {}, targets }, readMessage);
   return (
     <>
       {HALTED.has(status.state) ? (

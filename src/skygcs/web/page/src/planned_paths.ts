@@ -3,26 +3,14 @@
 import type { Connection } from "./connection.ts";
 import { refusalText } from "./orders.ts";
 import type { Store } from "./store.ts";
-import type { Outcome, Vec3 } from "./types.ts";
 import type { FleetView } from "./view/fleet_view.ts";
 import { type Frame, fromGeodetic } from "./view/frame.ts";
 import type { Shape } from "./view/overlays.ts";
+import type { FenceResult, TrajectoryPath } from "./rpc_types.ts";
 
 const OVERLAY = "planned paths";
 /** The daemon answers with a key that says whether anything has changed: nothing is drawn anew while it has not. */
 const EVERY_MS = 2_000;
-
-export interface PlannedPath {
-  vehicle: string;
-  name: string;
-  flown: boolean;
-  points_enu_m: readonly Vec3[];
-}
-
-interface Answer {
-  key: string;
-  paths: readonly PlannedPath[] | null;
-}
 
 /** Keeps them on the view; returns what ends it. */
 export function beginPlannedPaths(store: Store, connection: Connection, view: FleetView): () => void {
@@ -39,7 +27,7 @@ export function beginPlannedPaths(store: Store, connection: Connection, view: Fl
       key = null;
       return;
     }
-    const answer = await connection.call<Answer>("trajectory.paths", { known: key });
+    const answer = await connection.call("trajectory.paths", { known: key });
     if (!here) return;
     if (answer.paths !== null) show(plannedShapes(answer.paths));
     key = answer.key;
@@ -61,7 +49,7 @@ export function beginPlannedPaths(store: Store, connection: Connection, view: Fl
 }
 
 /** What is flown is a line, what is only loaded is dashed, in the vehicle's colour; with where each begins and ends. */
-export function plannedShapes(paths: readonly PlannedPath[]): Shape[] {
+export function plannedShapes(paths: readonly TrajectoryPath[]): Shape[] {
   return paths.flatMap(({ vehicle, flown, points_enu_m: points }): Shape[] => {
     const first = points[0];
     const last = points.at(-1);
@@ -78,14 +66,10 @@ const FENCES = "vehicle fences";
 /** Circles nearer to each other than this are one on the screen. */
 const SAME_M = 1;
 
-interface FenceOutcome extends Outcome {
-  fence?: { enabled: boolean | null; radius_m: number | null; height_m: number | null } | null;
-}
-
 /** Asks every vehicle and shows the cylinders about their homes. Returns what to say to the person. */
 export async function showFences(store: Store, connection: Connection, view: FleetView): Promise<string> {
   try {
-    const { outcomes } = await connection.order<{ outcomes: Record<string, FenceOutcome> }>("fence.status", { targets: "all" });
+    const { outcomes } = await connection.order("fence.status", { targets: "all" });
     const shapes = fenceShapes(outcomes, store, view.frame);
     view.setOverlay(FENCES, { shapes, fit: true });
     const off = Object.values(outcomes).filter(({ ok, fence }) => ok && fence?.enabled === false).length;
@@ -104,7 +88,7 @@ export function hideFences(view: FleetView): void {
 }
 
 /** One circle for each different home and radius. */
-export function fenceShapes(outcomes: Readonly<Record<string, FenceOutcome>>, store: Pick<Store, "state">, frame: Frame | null): Shape[] {
+export function fenceShapes(outcomes: Readonly<Record<string, FenceResult>>, store: Pick<Store, "state">, frame: Frame | null): Shape[] {
   if (frame === null) return [];
   const circles: { x: number; y: number; radiusM: number }[] = [];
   for (const [name, { fence }] of Object.entries(outcomes)) {

@@ -4,7 +4,7 @@ import type { Connection } from "./connection.ts";
 import { frameIsKnown } from "./framed.ts";
 import { viewParams } from "./levels.ts";
 import type { Store } from "./store.ts";
-import type { Alarm, DaemonLink, FleetEvent, Hello, Origin, PlanStatus, StateBatch } from "./types.ts";
+import type { DaemonLink, FleetEvent, Hello, PlanStatus, StateBatch } from "./types.ts";
 
 export const UPDATES_HZ = 10;
 const RECENT_EVENTS = 200;
@@ -27,7 +27,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   }
 
   async function fetchOrigin(): Promise<void> {
-    const { origin, generation } = await connection.call<{ origin: Origin | null; generation: number }>("origin.get");
+    const { origin, generation } = await connection.call("origin.get");
     store.dispatch({ type: "origin", origin, generation });
   }
 
@@ -44,7 +44,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
 
   async function fetchEvents(): Promise<void> {
     const askedAfter = store.state.eventsSeen;
-    const events = await connection.call<FleetEvent[]>("events.recent", { limit: RECENT_EVENTS });
+    const events = await connection.call("events.recent", { limit: RECENT_EVENTS });
     store.dispatch({ type: "recentEvents", events: events.filter((event) => event.kind !== ALARM), askedAfter });
   }
 
@@ -54,7 +54,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     alarmsAsked = true;
     await new Promise((resolve) => setTimeout(resolve, ALARMS_AFTER_MS));
     alarmsAsked = false;
-    const { alarms } = await connection.call<{ alarms: Alarm[] }>("alarms.list");
+    const { alarms } = await connection.call("alarms.list");
     store.dispatch({ type: "alarms", alarms });
   }
 

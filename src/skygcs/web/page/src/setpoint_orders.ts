@@ -90,6 +90,6 @@ export function canPause(vehicle: Controlled): boolean {
 export async function engage(store: Pick<Store, "state" | "dispatch">, connection: Pick<Connection, "order">, targets: readonly string[], chain?: OrderChain): Promise<boolean> {
   const idle = targets.filter((name) => !isFlying(store.state.vehicles.get(name)));
   if (idle.length === 0) return true;
-  const request = { label: "Fly by position setpoints", method: "control.set", params: { mode: "position" }, targets: idle, chain };
+  const request = { label: "Fly by position setpoints", method: "control.set" as const, params: { mode: "position" as const }, targets: idle, chain };
   return (await sendOrder(store, connection, request)) === "done";
 }

@@ -11,8 +11,9 @@ import { Choice, NumberField, usePolled } from "./panels/parts.tsx";
 import { canPause, engage, isOnTrajectory, isPaused, keptPlace } from "./setpoint_orders.ts";
 import { circlePieces, durationOf, pathPieces, pointsAlong, squarePoints, type Piece } from "./shape_pieces.ts";
 import type { Store } from "./store.ts";
-import type { Outcome, Vec3 } from "./types.ts";
+import type { Vec3 } from "./types.ts";
 import type { Shape } from "./view/overlays.ts";
+import type { TrajectoryStatus } from "./rpc_types.ts";
 
 const OVERLAY = "shape";
 const SHAPES = [["square", "Square"], ["circle", "Circle"], ["path", "Points on the view"], ["loaded", "Loaded trajectory"]] as const;
@@ -23,10 +24,6 @@ const MOST_LAPS = 20;
 const MOST_SPEED_MPS = 5;
 const DRAWN_EACH_PIECE = 8;
 const NO_POINTS: readonly Vec3[] = [];
-
-interface Loaded {
-  trajectories: readonly { vehicle: string; name: string; duration_s: number; start_enu_m: Vec3 }[];
-}
 
 export function ShapeOrder(props: ButtonsProps) {
   const [shown, setShown] = useState(false);
@@ -46,7 +43,7 @@ function ShapeForm(props: ButtonsProps) {
   const [speed, setSpeed] = useState<number | null>(2);
   const [laps, setLaps] = useState<number | null>(1);
   const [points, setPoints] = useFramed(store, NO_POINTS);
-  const loaded = usePolled<Loaded>(store, connection, kind === "loaded" && targets.length > 0 ? "trajectory.status" : null, { targets }, 2_000);
+  const loaded = usePolled(store, connection, kind === "loaded" && targets.length > 0 ? "trajectory.status" : null, { targets }, 2_000);
   const found = (loaded.answer?.trajectories ?? []).filter(({ vehicle }) => targets.includes(vehicle));
   useTick(1_000); // the preview begins where they are now
   const made = useMemo(
@@ -137,21 +134,21 @@ async function flyShape({ store, connection, targets, send }: ButtonsProps, kind
     if (first === undefined || starts.length !== targets.length) return;
     for (const [name, start] of starts) {
       if (frameKeyOf(store.state) !== frame) return; // its places are others now
-      const request = { label: `Load a ${kind}`, method: "trajectory.load", params: { target: name, pieces: made(start, first), name: kind }, targets: [name], chain };
-      const answer = await runOrder<{ outcomes: Readonly<Record<string, Outcome>> }>(store, connection, request);
+      const request = { label: `Load a ${kind}`, method: "trajectory.load" as const, params: { target: name, pieces: made(start, first), name: kind }, targets: [name], chain };
+      const answer = await runOrder(store, connection, request);
       if (answer?.outcomes[name]?.ok !== true) return;
     }
   }
   await send({ label: `Fly the ${kind === "loaded" ? "trajectory" : kind}`, method: "trajectory.start", params: {}, chain });
 }
 
-async function toStarts({ store, connection }: ButtonsProps, found: Loaded["trajectories"]): Promise<void> {
+async function toStarts({ store, connection }: ButtonsProps, found: TrajectoryStatus["trajectories"]): Promise<void> {
   if (!frameIsKnown(store.state)) return;
   const frame = frameKeyOf(store.state);
   const chain = new OrderChain(found.map(({ vehicle }) => vehicle));
   for (const { vehicle, start_enu_m } of found) {
     if (frameKeyOf(store.state) !== frame) break;
-    const request = { label: "Go to the first point", method: "vehicles.goto", params: { targets: [vehicle], enu_m: start_enu_m }, targets: [vehicle], chain };
+    const request = { label: "Go to the first point", method: "vehicles.goto" as const, params: { targets: [vehicle], enu_m: start_enu_m }, targets: [vehicle], chain };
     await runOrder(store, connection, request);
   }
   chain.end();

@@ -1,124 +1,28 @@
 // What comes over the WebSocket: the keys of docs/reference/rpc.md, SI units, degrees, ENU; null is "not known".
 
+import type * as rpc from "./rpc_types.ts";
+
+export type { AlarmResult as Alarm, EventRecord as FleetEvent, OriginPlace as Origin, Params, PlanStatus, Results, SeparationPart as Separation } from "./rpc_types.ts";
+
 export type Vec3 = readonly [number, number, number];
 
-/** A telemetry group has its age when it was sent; what is shown is older, see `ageOf` of store.ts. */
-export interface Aged {
-  age_s: number;
-}
+/** A method of the daemon. */
+export type Method = keyof rpc.Results;
 
-export interface Gps extends Aged {
-  fix: string | null;
-  fix_type: number | null;
-  satellites: number | null;
-}
+/** A method that the web process or the station answers itself. */
+export type OwnMethod = `web.${string}` | `replay.${string}` | `federation.${string}`;
 
-export interface Position extends Aged {
-  lat_deg: number | null;
-  lon_deg: number | null;
-  alt_amsl_m: number | null;
-  /** Above home. */
-  alt_rel_m: number | null;
-  /** Clockwise from true north. */
-  heading_deg: number | null;
-  vel_enu_mps: Vec3 | null;
-  /** In the fleet's frame; null without an origin. */
-  enu_m: Vec3 | null;
-  vel_world_mps: Vec3 | null;
-  /** Counter-clockwise from the frame's x axis. */
-  yaw_world_deg: number | null;
-  origin_generation: number | null;
-}
+export type Control = Pick<rpc.ControlState, "state" | "mode" | "control_mode"> & Partial<rpc.ControlState>;
 
-export interface Battery extends Aged {
-  volts: number | null;
-  percent: number | null;
-}
-
-export interface Home extends Aged {
-  lat_deg: number;
-  lon_deg: number;
-  alt_amsl_m: number | null;
-}
-
-export interface LinkCounters {
-  frames: number;
-  lost: number;
-  loss_ratio: number | null;
-  age_s: number;
-  /** Whether it is the one in use, of a vehicle that is heard on several. */
-  chosen?: boolean;
-}
-
-export interface Separation {
-  level: "notice" | "warning" | "action";
-  with: string;
-  /** These only while a conflict is predicted; a level falls some seconds after that. */
-  distance_m?: number;
-  closest_m?: number;
-  closest_in_s?: number;
-  margin_m?: number;
-}
-
-export interface Control {
-  state: "off" | "engaging" | "flying" | "held";
+/** What is not as the daemon has it: null where only the row of a digest was sent. */
+interface OfBrief {
+  armed: boolean | null;
   mode: string | null;
-  control_mode: string | null;
-  reasons?: readonly string[] | null;
-  reference?: { pos_enu_m: readonly (number | null)[] | null; vel_enu_mps: readonly (number | null)[] | null } | null;
-  error_m?: number | null;
-  [more: string]: unknown;
-}
-
-export interface Uplink extends Aged {
-  heard: boolean;
-  unanswered: number;
-  rtt_s: number | null;
-}
-
-/** The computer on a vehicle. */
-export interface Companion {
-  name: string | null;
-  /** The daemon's connection to it; null: it has none. */
-  link: "connecting" | "up" | "down" | null;
-  error: string | null;
-  version: string | null;
-  /** Of its newest MAVLink message; null: none was heard. */
-  age_s: number | null;
+  control: Control | null;
 }
 
 /** The state of one vehicle as web.state carries it. */
-export interface VehicleState {
-  name: string;
-  sysid: number;
-  compid: number;
-  autopilot: string;
-  type: string;
-  firmware: string | null;
-  groups: readonly string[];
-  connected: boolean;
-  duplicate_sysid: boolean;
-  replayed: boolean;
-  last_heartbeat_age_s: number | null;
-  armed: boolean | null;
-  mode: string | null;
-  system_status: string;
-  landed: string;
-  failsafe: boolean;
-  control: Control | null;
-  uplink: Uplink | null;
-  separation: Separation | null;
-  /** Absent: the daemon is of an earlier version. */
-  companion?: Companion | null;
-  gps: Gps | null;
-  position: Position | null;
-  attitude: (Aged & { roll_deg: number; pitch_deg: number; yaw_deg: number }) | null;
-  battery: Battery | null;
-  home: Home | null;
-  vfr: (Aged & { groundspeed_mps: number | null; climb_mps: number | null; throttle_percent: number | null }) | null;
-  mission: (Aged & { item: number | null; count: number | null }) | null;
-  links: Readonly<Record<string, LinkCounters>>;
-}
+export type VehicleState = Omit<Pick<rpc.VehicleState, rpc.StateKey>, keyof OfBrief> & OfBrief;
 
 /** A row of `Digest` in fleet_digest.py. */
 export type Brief = readonly [
@@ -165,32 +69,6 @@ export interface StateBatch {
   sites?: readonly SiteCounts[];
   /** Vehicles that this page's view asks for, and that are too many. */
   left_out?: number;
-}
-
-export interface FleetEvent {
-  time_unix_s: number;
-  kind: string;
-  vehicle: string | null;
-  sysid: number | null;
-  text: string;
-  data: Readonly<Record<string, unknown>>;
-}
-
-/** An alarm of the daemon: the same on every page, acknowledged once. */
-export interface Alarm {
-  number: number;
-  kind: string;
-  vehicle: string | null;
-  severity: "alarm" | "warning";
-  text: string;
-  raised_unix_s: number;
-  /** Its condition lasts. */
-  active: boolean;
-  count: number;
-  /** What followed from it and is no alarm of its own, by kind. */
-  consequences: Readonly<Record<string, number>>;
-  /** Null: nobody has seen it. */
-  acknowledged_by: string | null;
 }
 
 export interface DaemonLink {
@@ -243,25 +121,8 @@ export interface TileFile {
   attribution: string;
 }
 
-export interface Origin {
-  lat_deg: number;
-  lon_deg: number;
-  alt_amsl_m: number;
-  /** Compass heading of the x axis; 90 is plain ENU. */
-  x_heading_deg: number;
-}
-
-/** What became of an order on one vehicle, in the daemon's words. */
-export interface Outcome {
-  ok: boolean;
-  result: string;
-  message: string;
-  attempts?: number;
-  elapsed_s?: number;
-  status_texts?: readonly string[];
-  /** Of an order to a vehicle of another site: its site can be asked by it. */
-  id?: string;
-}
+/** What became of an order on one vehicle: of an order to another site with the id by which that can be asked. */
+export type Outcome = Pick<rpc.OutcomeResult, "ok" | "message"> & Partial<Omit<rpc.OutcomeResult, "result">> & { result: string; id?: string };
 
 /** The answer of federation.outcome. */
 export interface SiteAnswer {
@@ -270,20 +131,4 @@ export interface SiteAnswer {
   text: string;
   /** Of the vehicle, if the daemon of its site answered. */
   outcome: Outcome | null;
-}
-
-/** The answer of plan.status; web.plan brings each change. */
-export interface PlanStatus {
-  plan: string | null;
-  name: string | null;
-  kind: string | null;
-  state: string;
-  phase: string | null;
-  step: number | null;
-  steps: number | null;
-  reason: string | null;
-  speed: number | null;
-  clock: { trajectory_s: number; duration_s: number; finishes_in_s: number | null } | null;
-  waits_for: readonly string[];
-  vehicles: readonly { vehicle: string; state: string; error_m: number | null; tube_m: number | null; left: string | null }[];
 }

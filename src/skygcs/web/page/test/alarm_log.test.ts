@@ -3,12 +3,11 @@ import { test } from "node:test";
 import { AlarmLog, FRESH_S, SOUNDS_S } from "../src/panels/alarm_log.ts";
 import { EMPTY, reduce, type Action, type State } from "../src/store.ts";
 import type { FleetEvent } from "../src/types.ts";
-import { batch, vehicle } from "./fleet.ts";
 
 const NOW = 1_000_000;
 
 function failsafe(time_unix_s: number, vehicle = "alpha"): FleetEvent {
-  return { time_unix_s, kind: "failsafe", vehicle, sysid: 1, text: "low battery", data: { failsafe: true } };
+  return { time_unix_s, kind: "failsafe", vehicle, sysid: 1, severity: "alarm", text: "low battery", data: { failsafe: true } };
 }
 
 function logged(): { log: AlarmLog; feed: (action: Action) => void; clock: { ms: number } } {
@@ -44,7 +43,7 @@ test("tones and speech are off until a person wants them; then each alarm is sai
   assert.equal(log.takeSpoken(), "");
   log.speech = true;
   feed({ type: "event", event: failsafe(NOW, "bravo") });
-  feed({ type: "event", event: { ...failsafe(NOW), kind: "armed" } });
+  feed({ type: "event", event: { ...failsafe(NOW), kind: "armed", severity: "info" } });
   assert.equal(log.takeSpoken(), "bravo: low battery");
   assert.equal(log.takeSpoken(), "");
 });
@@ -67,18 +66,6 @@ test("what was long before the page is history, what comes again after a reconne
   // what came while the connection was lost is not history
   feed({ type: "recentEvents", events: [...recent, failsafe(NOW - FRESH_S - 50, "charlie")], askedAfter: 0 });
   assert.equal(log.open, 1);
-});
-
-test("what happened before the page was opened is judged as if the vehicle was armed, not by what it is now", () => {
-  const { log, feed } = logged();
-  const crash: FleetEvent = { ...failsafe(NOW - 20), kind: "statustext", text: "Crash: Disarming", data: { level: 2 } };
-  const live: FleetEvent = { ...crash, time_unix_s: NOW - 5, text: "Crash: again" };
-  feed({ type: "batch", batch: batch([vehicle("alpha", 1, { armed: false })]), atMs: 0 });
-  feed({ type: "recentEvents", events: [crash], askedAfter: 0 });
-  assert.deepEqual([log.events[0]?.severity, log.open], ["alarm", 1]);
-  feed({ type: "event", event: live });
-  feed({ type: "recentEvents", events: [crash, live], askedAfter: 1 });
-  assert.deepEqual(log.events.map(({ severity }) => severity), ["alarm", "warning"]);
 });
 
 test("events and acknowledgements are bounded", () => {

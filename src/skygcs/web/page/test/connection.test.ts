@@ -73,8 +73,8 @@ function connected(): { world: World; connection: Connection } {
 
 test("an answer goes to the call with its id", async () => {
   const { world, connection } = connected();
-  const first = connection.call<number>("a");
-  const second = connection.call<number>("b");
+  const first = connection.call<number>("web.a");
+  const second = connection.call<number>("web.b");
   world.last.say({ id: 2, result: 22 });
   world.last.say({ id: 1, result: 11 });
   assert.deepEqual(await Promise.all([first, second]), [11, 22]);
@@ -82,7 +82,7 @@ test("an answer goes to the call with its id", async () => {
 
 test("a refusal keeps the server's words and code", async () => {
   const { world, connection } = connected();
-  const call = connection.call("vehicles.arm");
+  const call = connection.call("vehicles.arm", { targets: "all" });
   world.last.say({ id: 1, error: { code: -32002, message: "a replay: nothing can be ordered" } });
   await assert.rejects(call, { code: -32002, message: "a replay: nothing can be ordered" });
 });
@@ -91,7 +91,7 @@ test("an order has a deadline in the server's clock, a reading has none", () => 
   const { world, connection } = connected();
   world.pass(500);
   void connection.order("vehicles.arm", { targets: ["a"] }, 3);
-  void connection.call("vehicles.list");
+  void connection.call("plan.pause");
   assert.equal(world.last.sent[0]?.["deadline_s"], 103.5);
   assert.equal("deadline_s" in (world.last.sent[1] ?? {}), false);
 });
@@ -107,7 +107,7 @@ test("the daemon's clock in trajectory.status is not taken for the server's", as
 test("nothing is sent, and nothing is kept for later, while there is no connection", async () => {
   const { world, connection } = connected();
   world.last.onclose?.({ code: 1006, reason: "" });
-  await assert.rejects(connection.order("vehicles.takeoff", {}), NotConnected);
+  await assert.rejects(connection.order("vehicles.takeoff", { targets: "all" }), NotConnected);
   world.pass(60_000);
   world.last.onopen?.();
   assert.deepEqual(world.last.sent, []);
@@ -115,7 +115,7 @@ test("nothing is sent, and nothing is kept for later, while there is no connecti
 
 test("an order whose connection is lost is unknown and never sent again", async () => {
   const { world, connection } = connected();
-  const order = connection.order("vehicles.takeoff", {});
+  const order = connection.order("vehicles.takeoff", { targets: "all" });
   world.last.onclose?.({ code: 1006, reason: "" });
   await assert.rejects(order, ConnectionLost);
   world.pass(10_000);
@@ -129,7 +129,7 @@ test("an order before the server's clock was heard on this connection is not sen
   world.last.onclose?.({ code: 1006, reason: "" });
   world.pass(60_000);
   world.last.onopen?.();
-  await assert.rejects(connection.order("vehicles.arm", {}), NotConnected);
+  await assert.rejects(connection.order("vehicles.arm", { targets: "all" }), NotConnected);
 });
 
 test("attempts are spaced more and more, up to five seconds, and begin anew after a session that worked", () => {
@@ -201,7 +201,7 @@ test("only a trusted input counts as a person's, and at most once a second", () 
 
 test("no request of the page itself counts as a person's, however long it is open", () => {
   const { world, connection } = connected();
-  void connection.call("vehicles.list").catch(() => undefined);
+  void connection.call("plan.pause").catch(() => undefined);
   world.pass(7_000);
   assert.ok(world.last.sent.length > 1);
   assert.ok(world.last.sent.every((message) => message["method"] !== "operator.active"));

@@ -1,18 +1,19 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { grouped, groupText, type JudgedEvent, type Severity, spokenText } from "../src/panels/event_severity.ts";
+import { grouped, groupText, type Severity, spokenText } from "../src/panels/event_severity.ts";
+import type { NumberedEvent } from "../src/store.ts";
 
 let id = 0;
 
-function event(at_s: number, kind: string, vehicle: string | null, data: Record<string, unknown> = {}, text = kind, severity: Severity = "info"): JudgedEvent {
+function event(at_s: number, kind: string, vehicle: string | null, data: Record<string, unknown> = {}, text = kind, severity: Severity = "info"): NumberedEvent {
   return { id: id++, time_unix_s: 1000 + at_s, kind, vehicle, sysid: 1, text, data, severity };
 }
 
-function newestFirst(...events: JudgedEvent[]): JudgedEvent[] {
+function newestFirst(...events: NumberedEvent[]): NumberedEvent[] {
   return events.sort((a, b) => b.time_unix_s - a.time_unix_s);
 }
 
-function loss(): JudgedEvent[] {
+function loss(): NumberedEvent[] {
   return newestFirst(
     event(0, "vehicle_lost", "u02", {}, "no heartbeat for 3.1 s", "alarm"),
     ...Array.from({ length: 19 }, (_, i) => event(i - 2, "separation", `u${i + 10}`, { with: "u02", level: "warning" }, "near u02", "alarm")),

@@ -29,10 +29,17 @@ export function vehicle(name: string, sysid: number, more: Partial<VehicleState>
     battery: null,
     home: null,
     vfr: null,
+    uptime_s: null,
+    companion: null,
     mission: null,
-    links: { radio: { frames: 1, lost: 0, loss_ratio: 0, age_s: 0.1 } },
+    links: { radio: part({ frames: 1, lost: 0, loss_ratio: 0, age_s: 0.1 }) },
     ...more,
   };
+}
+
+/** A part of a state of which only this is looked at. */
+export function part<T>(known: Partial<NoInfer<T>>): T {
+  return { age_s: 0, ...known } as T;
 }
 
 export function position(x: number, y: number, z: number, more: object = {}): NonNullable<VehicleState["position"]> {
@@ -47,6 +54,9 @@ export function position(x: number, y: number, z: number, more: object = {}): No
     vel_world_mps: [0, 0, 0],
     yaw_world_deg: 90,
     origin_generation: 1,
+    time_boot_s: 0,
+    takeoff_alt_amsl_m: null,
+    alt_takeoff_m: null,
     age_s: 0.1,
     ...more,
   };

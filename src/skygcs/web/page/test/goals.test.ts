@@ -3,7 +3,8 @@ import { test } from "node:test";
 import { fenceShapes } from "../src/planned_paths.ts";
 import { EMPTY, reduce, type OrderRun, type State } from "../src/store.ts";
 import { frameAt } from "../src/view/frame.ts";
-import { batch, position, vehicle } from "./fleet.ts";
+import type { FenceResult } from "../src/rpc_types.ts";
+import { batch, part, position, vehicle } from "./fleet.ts";
 
 const ORDER: OrderRun = { id: 1, label: "", method: "", targets: [], startedMs: 0, endedMs: null, state: "pending", outcomes: {}, error: null };
 
@@ -42,7 +43,7 @@ test("fences about one home with one radius are one circle; those that are off a
   const home = { lat_deg: 43.7806, lon_deg: -79.4653, alt_amsl_m: 180, age_s: 1 };
   const fleet = ["a", "b", "c", "d"].map((name, i) => vehicle(name, i + 1, { home: name === "d" ? null : home }));
   const state = reduce(EMPTY, { type: "batch", batch: batch(fleet), atMs: 0 });
-  const fence = (enabled: boolean, radius_m: number | null) => ({ ok: true, result: "accepted", message: "", fence: { enabled, radius_m, height_m: null } });
+  const fence = (enabled: boolean, radius_m: number | null) => part<FenceResult>({ ok: true, fence: part({ enabled, radius_m, height_m: null }) });
   const outcomes = { a: fence(true, 100), b: fence(true, 100), c: fence(false, 50), d: fence(true, 70) };
   const shapes = fenceShapes(outcomes, { state }, frameAt({ ...home, x_heading_deg: 90 }));
   assert.deepEqual(shapes.map((shape) => shape.kind === "circle" && shape.radiusM), [100]);

@@ -1,12 +1,13 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { linkHint, type Channel, type Link } from "../src/link_hints.ts";
+import { linkHint } from "../src/link_hints.ts";
+import type { ChannelState, LinkState } from "../src/rpc_types.ts";
 
-function link(type: string, change: Partial<Link> = {}, ...channels: Partial<Channel>[]): Link {
+function link(type: string, change: Partial<LinkState> = {}, ...channels: Partial<ChannelState>[]): LinkState {
   return { name: "radio", type, role: "peer", state: "up", last_error: null, channels: channels.map((one) => ({ peer: "p", ...one })), ...change };
 }
 
-function next(one: Link): string {
+function next(one: LinkState): string {
   return linkHint(one).next;
 }
 

@@ -1,5 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import type { Method } from "../src/types.ts";
 import { OrderChain, type OrderChain as Chain, sendOrder } from "../src/orders.ts";
 import { canPause } from "../src/setpoint_orders.ts";
 import { vehicle } from "./fleet.ts";
@@ -13,7 +14,7 @@ function station() {
     methods.push(method);
     return Promise.resolve({ outcomes: { a: { ok: true, result: "accepted", message: "", elapsed_s: 1 } } });
   } } as unknown as Sent[1];
-  const send = (method: string, targets: readonly string[] | null, chain?: Chain) => sendOrder(store, connection, { label: method, method, params: {}, targets, chain });
+  const send = (method: Method, targets: readonly string[] | null, chain?: Chain) => sendOrder(store, connection, { label: method, method, params: {}, targets, chain });
   return { methods, send };
 }
 

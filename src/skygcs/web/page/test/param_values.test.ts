@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { aboutText, groupOf, matches, meaningText, outsideText, parseValue, rangeOf, sameValue, valueText, type ParamMetadata } from "../src/panels/param_values.ts";
+import { aboutText, groupOf, matches, meaningText, outsideText, parseValue, rangeOf, sameValue, valueText } from "../src/panels/param_values.ts";
+import type { ParamDescription } from "../src/rpc_types.ts";
 
 test("a value has to fit its type", () => {
   assert.deepEqual(rangeOf("INT8"), { least: -128, most: 127, whole: true });
@@ -39,7 +40,7 @@ test("search takes words anywhere in the name, and patterns for all of it", () =
 });
 
 test("a value outside its range is said, as the daemon judges it", () => {
-  const cruise: ParamMetadata = { unit: "m/s", least: 3, greatest: 20, range: "3 to 20 m/s", reboot: false, values: { "-1": "off" }, bits: {}, description: "Cruise" };
+  const cruise: ParamDescription = { unit: "m/s", least: 3, greatest: 20, range: "3 to 20 m/s", reboot: false, values: { "-1": "off" }, bits: {}, description: "Cruise" };
   assert.equal(outsideText(500, cruise, "px4"), "outside its range of 3 to 20 m/s");
   for (const good of [3, 20, -1]) assert.equal(outsideText(good, cruise, "px4"), null, String(good));
   assert.equal(outsideText(0, cruise, "ardupilot"), null);

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { PART_CHARS, givenPlan, type Part } from "../src/panels/plan_upload.ts";
+import { PART_CHARS, givenPlan } from "../src/panels/plan_upload.ts";
+import type { Params } from "../src/rpc_types.ts";
 
 test("a plan that a request holds is sent as it is", async () => {
   const given = await givenPlan('{"a": 1}', () => Promise.reject(new Error("not in parts")));
@@ -9,7 +10,7 @@ test("a plan that a request holds is sent as it is", async () => {
 
 test("a larger one goes in parts, in order, under the number of the first", async () => {
   const text = JSON.stringify({ values: Array.from({ length: 200_000 }, (_, i) => i) });
-  const parts: Part[] = [];
+  const parts: Params["plan.upload"][] = [];
   const given = await givenPlan(text, (part) => {
     parts.push(part);
     return Promise.resolve({ upload: 7 });

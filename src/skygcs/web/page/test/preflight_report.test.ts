@@ -1,12 +1,14 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { matrixOf, type PreflightStatus, type Verdict } from "../src/panels/preflight_report.ts";
+import { matrixOf } from "../src/panels/preflight_report.ts";
+import type { PreflightFinding, PreflightStatus } from "../src/rpc_types.ts";
+import { part } from "./fleet.ts";
 
-function status(verdicts: Readonly<Record<string, Verdict>> | null, passed = "passed"): PreflightStatus {
-  const findings = Object.entries(verdicts ?? {}).map(([check, verdict]) => ({ check, verdict, severity: "fault", text: "", todo: "", fixes: [] }));
+function status(verdicts: Readonly<Record<string, PreflightFinding["verdict"]>> | null, passed: PreflightStatus["state"] = "passed"): PreflightStatus {
+  const findings = Object.entries(verdicts ?? {}).map(([check, verdict]) => ({ check, verdict, severity: "fault" as const, text: "", todo: "", fixes: [] }));
   const ok = findings.every(({ verdict }) => verdict === "pass");
-  const report = verdicts === null ? null : { ok, summary: "", findings, fixes: [], fixed: {}, unfixed: "" };
-  return { state: report === null ? "never" : ok ? passed : "failed", required: false, age_s: 1, refusal: null, report };
+  const report = verdicts === null ? null : part<NonNullable<PreflightStatus["report"]>>({ ok, findings });
+  return { state: report === null ? "never" : ok ? passed : "failed", required: false, age_s: 1, valid_s: null, refusal: null, report };
 }
 
 test("what failed stands first, by check and by vehicle; what could not be checked follows", () => {

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { markAfter, markBefore, type Mark } from "../src/panels/replay_time.ts";
 
 function mark(at_s: number): Mark {
-  return { at_s, event: { time_unix_s: at_s, kind: "mode", vehicle: "v1", sysid: 1, text: `at ${at_s}`, data: {} } };
+  return { at_s, event: { time_unix_s: at_s, kind: "mode", vehicle: "v1", sysid: 1, severity: "alarm", text: `at ${at_s}`, data: {} } };
 }
 
 test("the next mark in either direction", () => {

@@ -7,7 +7,7 @@ import { vehicle as reported } from "./fleet.ts";
 const vehicle = (...given: Parameters<typeof reported>) => ({ ...reported(...given), heard_s: 0 });
 
 function flown(name: string, more: Partial<Control> = {}) {
-  const control = { state: "flying", mode: "OFFBOARD", control_mode: "position", reference: { pos_enu_m: [1, -2.04, 8], vel_enu_mps: null }, ...more } as Control;
+  const control = { state: "flying", mode: "OFFBOARD", control_mode: "position", reference: { pos_enu_m: [1, -2.04, 8], vel_enu_mps: null, yaw_deg: null }, ...more } as Control;
   return vehicle(name, 1, { control });
 }
 
@@ -36,7 +36,7 @@ test("what the guard holds gets no setpoints: the text says so, no place is kept
 
 test("a place that is kept has three axes", () => {
   assert.deepEqual(keptPlace(flown("a")), [1, -2.04, 8]);
-  assert.equal(keptPlace(flown("a", { reference: { pos_enu_m: [1, null, 8], vel_enu_mps: null } })), null);
+  assert.equal(keptPlace(flown("a", { reference: { pos_enu_m: [1, null, 8], vel_enu_mps: null, yaw_deg: null } })), null);
   assert.equal(keptPlace(flown("a", { state: "off" })), null);
 });
 

@@ -68,7 +68,7 @@ test("a vehicle that the daemon does not hear is not heard, although its ages ar
 });
 
 test("an event that came while the recent ones were on their way stays", () => {
-  const at = (time_unix_s: number) => ({ time_unix_s, kind: "failsafe", vehicle: "a", sysid: 1, text: String(time_unix_s), data: {} });
+  const at = (time_unix_s: number) => ({ time_unix_s, kind: "failsafe", vehicle: "a", sysid: 1, severity: "alarm" as const, text: String(time_unix_s), data: {} });
   const live = [1, 2, 3, 4].map(at).reduce((state, event) => reduce(state, { type: "event", event }), EMPTY);
   const asked = reduce(live, { type: "recentEvents", events: [at(0), at(3)], askedAfter: 2 });
   assert.deepEqual(asked.events.map(({ text }) => text), ["0", "3", "4"]);
@@ -79,7 +79,7 @@ test("an event that came while the recent ones were on their way stays", () => {
 
 test("events, orders and trails are bounded", () => {
   let state = EMPTY;
-  const event = { time_unix_s: 1, kind: "armed", vehicle: "a", sysid: 1, text: "", data: {} };
+  const event = { time_unix_s: 1, kind: "armed", vehicle: "a", sysid: 1, severity: "info" as const, text: "", data: {} };
   for (let i = 0; i < MAX_EVENTS + 50; i++) state = reduce(state, { type: "event", event });
   assert.equal(state.events.length, MAX_EVENTS);
   assert.equal(new Set(state.events.map(({ id }) => id)).size, MAX_EVENTS);

@@ -9,7 +9,7 @@ import { EMPTY, type Vehicle } from "../src/store.ts";
 import { isChosen, parsedChoices } from "../src/table_choices.ts";
 import type { PlanStatus, VehicleState } from "../src/types.ts";
 import type { Surroundings } from "../src/vehicle_status.ts";
-import { position, vehicle } from "./fleet.ts";
+import { part, position, vehicle } from "./fleet.ts";
 
 function heard(name: string, sysid: number, more: Partial<VehicleState> = {}): Vehicle {
   return { ...vehicle(name, sysid, more), heard_s: 1000 };
@@ -37,10 +37,10 @@ test("choices are kept, and what was kept by something else is left out", () => 
 });
 
 test("columns by choice: place, attitude, speed, target and error, in the units of people", () => {
-  const control = { state: "flying" as const, mode: "position", control_mode: "position", reference: { pos_enu_m: [1, null, 3], vel_enu_mps: null }, error_m: 0.256 };
+  const control = { state: "flying" as const, mode: "position", control_mode: "position", reference: { pos_enu_m: [1, null, 3], vel_enu_mps: null, yaw_deg: null }, error_m: 0.256 };
   const v = heard("a", 1, {
     position: position(1, -2, 12, { vel_enu_mps: [3, 4, 0] }),
-    attitude: { roll_deg: 1.4, pitch_deg: -2, yaw_deg: 181, age_s: 0.1 },
+    attitude: part({ roll_deg: 1.4, pitch_deg: -2, yaw_deg: 181, age_s: 0.1 }),
     control,
   });
   const texts = ["x", "y", "up", "attitude", "speed", "target", "error"].map((id) => cell(id, v).text);
@@ -50,11 +50,11 @@ test("columns by choice: place, attitude, speed, target and error, in the units 
 
 test("the status: trouble, else the guard, the plan, our control, the mission", () => {
   const flying = { state: "flying" as const, mode: "position", control_mode: "position_velocity" };
-  const plan: PlanStatus = {
-    ...{ plan: "1", name: "show", kind: "timed", state: "running", phase: null, step: 2, steps: 3, reason: null, speed: 1, waits_for: [] },
-    clock: { trajectory_s: 10, duration_s: 44, finishes_in_s: 34.4 },
-    vehicles: [{ vehicle: "a", state: "flying", error_m: 0.1, tube_m: 1, left: null }],
-  };
+  const plan = part<PlanStatus>({
+    ...{ plan: "1", name: "show", kind: "timed", state: "running", phase: null, step: 2, steps: 3, reason: "", speed: 1, waits_for: [] },
+    clock: part({ trajectory_s: 10, duration_s: 44, finishes_in_s: 34.4 }),
+    vehicles: [part({ vehicle: "a", state: "flying", error_m: 0.1, tube_m: 1, left: null })],
+  });
   const text = (more: Partial<VehicleState>, around: Surroundings = EMPTY) => cell("status", heard("a", 1, more), 1000, around);
   assert.deepEqual([text({}).text, text({}).narrow], ["–", "armed"]);
   assert.equal(text({ control: flying }).text, "position velocity");
@@ -64,7 +64,7 @@ test("the status: trouble, else the guard, the plan, our control, the mission", 
   assert.deepEqual([held.text, held.tone, held.under], ["held: pose is 2 s old, tilt", "danger", "armed"]);
   assert.equal(text({ control: { ...flying, reasons: ["near the fence"] } }).tone, "warning");
   assert.equal(text({ separation: { level: "notice", with: "b" } }).text, "near b");
-  const mission = { item: 2, count: 5, age_s: 0 };
+  const mission = part<NonNullable<VehicleState["mission"]>>({ item: 2, count: 5 });
   assert.equal(text({ mode: "AUTO.MISSION", mission }).text, "mission 2/5");
   assert.equal(text({ mode: "AUTO.LOITER", mission }).text, "–", "it has one, and does not fly it");
   assert.equal(text({ replayed: true }).text, "replay");
@@ -73,7 +73,7 @@ test("the status: trouble, else the guard, the plan, our control, the mission", 
 
 test("a failsafe says the vehicle's own words, and what it does", () => {
   const event = (id: number, vehicle: string, last_warning: string) =>
-    ({ id, time_unix_s: id, kind: "failsafe", vehicle, sysid: 1, text: "", data: { failsafe: true, last_warning } });
+    ({ id, time_unix_s: id, kind: "failsafe", vehicle, sysid: 1, severity: "alarm" as const, text: "", data: { failsafe: true, last_warning } });
   const events = [event(1, "a", "old"), event(2, "a", "GPS lost"), event(3, "b", "not of this one")];
   const of = (more: Partial<VehicleState>, around: Surroundings = { plan: null, events }) => cell("status", heard("a", 1, { failsafe: true, ...more }), 1000, around);
   assert.equal(of({ mode: "AUTO.LAND" }).text, "FAILSAFE: GPS lost, landing");
@@ -99,7 +99,7 @@ test("problems stand first, the worst at the top, however the rest is sorted", (
 });
 
 test("a companion: its connection, else whether it is heard; a column only where one is", () => {
-  const with_ = (more: object) => heard("a", 1, { companion: { name: "pi", link: null, error: null, version: "1.0", age_s: null, ...more } });
+  const with_ = (more: object) => heard("a", 1, { companion: { name: "pi", link: null, since_s: null, error: null, version: "1.0", age_s: null, ...more } });
   assert.deepEqual(cell("companion", with_({ link: "up" })), { text: "up", tone: "good", title: "pi, 1.0" });
   assert.deepEqual(cell("companion", with_({ link: "down", error: "no route" })), { text: "down", tone: "danger", title: "pi, 1.0, no route" });
   assert.equal(cell("companion", with_({ age_s: 0.4 })).text, "heard");
@@ -125,7 +125,7 @@ test("a group that is old is grey with its age although the vehicle is heard", (
 
 test("failsafe, low battery, conflicts and deaf vehicles stand out", () => {
   assert.equal(cell("status", heard("a", 1, { failsafe: true })).tone, "danger");
-  const battery = (percent: number) => cell("battery", heard("a", 1, { battery: { volts: 14, percent, age_s: 0 } }));
+  const battery = (percent: number) => cell("battery", heard("a", 1, { battery: part({ volts: 14, percent }) }));
   assert.deepEqual([battery(80).tone, battery(20).tone, battery(8).tone], ["", "warning", "danger"]);
   assert.equal(cell("status", heard("a", 1, { separation: { level: "action", with: "b" } })).text, "near b");
   assert.equal(cell("status", heard("a", 1, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 } })).text, "does not hear us");

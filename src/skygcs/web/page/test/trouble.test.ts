@@ -2,17 +2,18 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { vehicleOf } from "../src/levels.ts";
 import { isProblem, troublesOf } from "../src/trouble.ts";
-import { position, vehicle } from "./fleet.ts";
+import type { VehicleState } from "../src/types.ts";
+import { part, position, vehicle } from "./fleet.ts";
 
 const NOW_S = 1000;
 const heard = (...args: Parameters<typeof vehicle>) => vehicleOf(vehicle(...args), NOW_S);
 const silent = (name: string, sysid: number, age_s: number, more: object = {}) =>
-  vehicleOf(vehicle(name, sysid, { connected: false, last_heartbeat_age_s: age_s, links: { radio: { frames: 1, lost: 0, loss_ratio: 0, age_s } }, ...more }), NOW_S);
+  vehicleOf(vehicle(name, sysid, { connected: false, last_heartbeat_age_s: age_s, links: { radio: part({ frames: 1, lost: 0, loss_ratio: 0, age_s }) }, ...more }), NOW_S);
 
 test("a vehicle's trouble says what is wrong, all of it and the worst first", () => {
   const text = (more: object) => troublesOf([heard("u04", 4, more)], NOW_S)[0]?.text;
   assert.equal(text({}), undefined);
-  const battery = { volts: 20.1, percent: 6, age_s: 0.1 };
+  const battery = part<NonNullable<VehicleState["battery"]>>({ volts: 20.1, percent: 6 });
   const uplink = { heard: false, unanswered: 3, rtt_s: null, age_s: 1 };
   assert.equal(text({ battery }), "battery 6 %");
   assert.equal(text({ uplink }), "does not hear us");
@@ -37,7 +38,7 @@ test("one lost in the air comes first with its height, one that is silent on the
 });
 
 test("of those that are heard a failsafe comes before one that is near, deaf, or has an empty battery", () => {
-  const battery = { volts: 20.1, percent: 6, age_s: 0.1 };
+  const battery = part<NonNullable<VehicleState["battery"]>>({ volts: 20.1, percent: 6 });
   const found = troublesOf([
     heard("a", 1, { battery }),
     heard("b", 2, { uplink: { heard: false, unanswered: 3, rtt_s: null, age_s: 1 }, battery }),
@@ -49,7 +50,7 @@ test("of those that are heard a failsafe comes before one that is near, deaf, or
 });
 
 test("what the strip shows of a vehicle that is heard is what is counted as a problem", () => {
-  for (const more of [{}, { failsafe: true }, { battery: { volts: 1, percent: 10, age_s: 0 } }]) {
+  for (const more of [{}, { failsafe: true }, { battery: part<NonNullable<VehicleState["battery"]>>({ volts: 1, percent: 10 }) }]) {
     const one = heard("a", 1, more);
     assert.equal(isProblem(one), troublesOf([one], NOW_S).length === 1);
   }

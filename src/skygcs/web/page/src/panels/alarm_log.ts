@@ -1,11 +1,10 @@
 // The events with their severity, what a person has acknowledged, and when the alarm sounds.
 
 import { Changes } from "../hooks.ts";
-import type { Action, State, Store } from "../store.ts";
-import { MAX_EVENTS } from "../store.ts";
+import type { Action, NumberedEvent, State, Store } from "../store.ts";
 import { recall, remember } from "../theme.ts";
 import type { FleetEvent } from "../types.ts";
-import { type JudgedEvent, keyOf, severityOf, spokenText } from "./event_severity.ts";
+import { keyOf, spokenText } from "./event_severity.ts";
 
 /** What happened longer before the page was opened is history: shown, and not open. */
 export const FRESH_S = 300;
@@ -18,13 +17,13 @@ const MUTED = "skygcs.muted";
 const SPEECH = "skygcs.speech";
 
 export class AlarmLog extends Changes {
-  events: readonly JudgedEvent[] = [];
+  events: readonly NumberedEvent[] = [];
   acknowledged: ReadonlySet<string> = new Set();
   /** Both are off until a person wants them: a page on a projector or in a meeting must not begin to sound. */
   muted = recalled(MUTED) !== "no";
   speech = recalled(SPEECH) === "yes";
   /** Alarms that are to be said. */
-  private unsaid: JudgedEvent[] = [];
+  private unsaid: NumberedEvent[] = [];
   private first = true;
   private soundsUntilMs = -Infinity;
 
@@ -44,11 +43,10 @@ export class AlarmLog extends Changes {
     if (action.type === "event") {
       const event = state.events.at(-1);
       if (event === undefined) return;
-      const judged = { ...event, severity: severityOf(event, armedOf(state, event)) };
-      this.events = [...this.events, judged].slice(-MAX_EVENTS);
-      if (judged.severity === "alarm") {
+      this.events = state.events;
+      if (event.severity === "alarm") {
         this.soundsUntilMs = this.nowMs() + SOUNDS_S * 1000;
-        if (this.speech) this.unsaid.push(judged);
+        if (this.speech) this.unsaid.push(event);
       }
       this.changed();
     } else if (action.type === "recentEvents") {
@@ -83,11 +81,9 @@ export class AlarmLog extends Changes {
     return text;
   }
 
-  /** The list after a new connection. What was judged before keeps its severity, which was that of its time; what was not is
-   *  judged as if its vehicle was armed: "Crash: Disarming" is an alarm though the vehicle is disarmed by now. */
+  /** The list after a new connection. */
   private anew(state: State, unix_s: number): void {
-    const before = new Map(this.events.map((event) => [keyOf(event), event.severity]));
-    this.events = state.events.map((event) => ({ ...event, severity: before.get(keyOf(event)) ?? severityOf(event, null) }));
+    this.events = state.events;
     const old = this.first ? this.events.filter((event) => unix_s - event.time_unix_s > FRESH_S) : [];
     this.first = false;
     this.keep(new Set([...this.acknowledged, ...old.map(keyOf)]));
@@ -99,10 +95,6 @@ export class AlarmLog extends Changes {
     this.acknowledged = new Set([...keys].filter((key) => listed.has(key)));
     this.changed();
   }
-}
-
-function armedOf(state: State, event: FleetEvent): boolean | null {
-  return event.vehicle === null ? null : (state.vehicles.get(event.vehicle)?.armed ?? null);
 }
 
 function recalled(key: string): string | null {

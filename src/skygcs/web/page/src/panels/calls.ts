@@ -3,6 +3,7 @@
 import { ORDER_DEADLINE_S, type Connection } from "../connection.ts";
 import type { Reader } from "../orders.ts";
 import type { State, Store } from "../store.ts";
+import type { Method, OwnMethod, Params, Results } from "../types.ts";
 
 /** Longer than the web process gives the check of a file (CHECK_TIMEOUT_S), which says why it was ended. */
 const FILE_CHECK_MS = 150_000;
@@ -18,10 +19,12 @@ export function mayOrder(state: Pick<State, "hello">): boolean {
 }
 
 /** Asks without showing it among the orders: what changes nothing in the vehicle, though it may be asked over the radio. */
-export function ask<T>(store: Store, connection: Connection, method: string, params: object = {}): Promise<T> {
+export function ask<M extends Method>(store: Store, connection: Connection, method: M, params: Params[M]): Promise<Results[M]>;
+export function ask<T>(store: Store, connection: Connection, method: OwnMethod, params: object): Promise<T>;
+export function ask(store: Store, connection: Connection, method: OwnMethod, params: object): Promise<unknown> {
   return isRead(store.state, method)
-    ? connection.call<T>(method, params, { timeoutMs: method.startsWith("web.") ? FILE_CHECK_MS : 15_000 })
-    : connection.order<T>(method, params, ORDER_DEADLINE_S);
+    ? connection.call(method, params, { timeoutMs: method.startsWith("web.") ? FILE_CHECK_MS : 15_000 })
+    : connection.order(method, params, ORDER_DEADLINE_S);
 }
 
 /** The answer of plan.pause and the like. */

@@ -4,88 +4,10 @@ import { namesText } from "../format.ts";
 import type { NumberedEvent } from "../store.ts";
 import type { FleetEvent } from "../types.ts";
 
-/** `alarm`: a person has to look now; it sounds and stays until it is acknowledged. */
-export type Severity = "alarm" | "warning" | "info";
+/** `alarm`: a person has to look now; it sounds and stays until it is acknowledged. The daemon says it of each event. */
+export type Severity = FleetEvent["severity"];
 
 export const SEVERITIES: readonly Severity[] = ["alarm", "warning", "info"];
-
-/** MAV_SEVERITY: up to critical. */
-const CRITICAL_LEVEL = 2;
-const WARNING_LEVEL = 4;
-
-/** What an autopilot repeats on the ground until it may be armed: nothing to wake anybody. */
-const BEFORE_FLIGHT = /^(PreArm|Arm:|Preflight Fail|Arming denied)/i;
-
-/** Kinds that report a change to the worse, whatever is in them. */
-const WARNINGS = new Set(["warning", "conflict", "link_down", "link_degraded", "undo", "reboot"]);
-
-const WARNING_RESULTS = new Set(["failed", "denied", "timeout", "lost", "refused", "unsupported"]);
-
-/** The same as the daemon's alarms have (core/alarms.py), and a severity for events that raise no alarm. `armed`: whether the
- *  event's vehicle was armed as far as the page knows; null: it does not. */
-export function severityOf(event: FleetEvent, armed: boolean | null): Severity {
-  const { data } = event;
-  const grounded = armed === false ? "warning" : "alarm";
-  switch (event.kind) {
-    case "fault":
-    case "takeoff": return "alarm";
-    case "statustext": return textSeverity(event.text, data["level"], grounded);
-    case "failsafe": return data["failsafe"] === false ? "info" : "alarm";
-    case "vehicle_lost": return data["forgotten"] === true ? "warning" : grounded;
-    case "unattended":
-    case "uplink_lost":
-    case "ground_lost": return grounded;
-    case "companion": return data["change"] === "keys_kept" ? "alarm" : "info";
-    case "fence": return data["outside"] === true ? grounded : "info";
-    case "duplicate": return data["change"] === "duplicate_over" ? "info" : "alarm";
-    case "separation": return separationSeverity(data);
-    case "system_status": return isBad(data["system_status"]) || isBad(data["status"]) ? "alarm" : "info";
-    case "plan": return planSeverity(data["state"]);
-    case "control": return data["state"] === "held" ? "alarm" : "info";
-    case "command":
-      if (data["order"] === "stop" && data["ok"] === false && data["result"] !== "cancelled") return "alarm";
-      return isFailed(data) ? "warning" : "info";
-    case "recorder":
-      if (data["recording"] === false) return "alarm";
-      // it is recording again, and has lost something or nothing
-      return data["error"] !== undefined || Number(data["lost"] ?? 0) > 0 ? "warning" : "info";
-    case "warning":
-      // the operator watchdog: nobody touched anything, and vehicles are brought down
-      return data["action"] !== undefined && data["vehicles"] !== undefined ? "alarm" : "warning";
-    default: return WARNINGS.has(event.kind) ? "warning" : "info";
-  }
-}
-
-function textSeverity(text: string, level: unknown, grounded: Severity): Severity {
-  if (typeof level !== "number" || level > WARNING_LEVEL) return "info";
-  return level <= CRITICAL_LEVEL && !BEFORE_FLIGHT.test(text) ? grounded : "warning";
-}
-
-function separationSeverity(data: FleetEvent["data"]): Severity {
-  if (data["order"] === "hold") return "alarm";
-  if (data["watched"] === false) return "warning";
-  switch (data["level"]) {
-    case "action":
-    case "warning": return "alarm";
-    case "notice": return "warning";
-    default: return "info";
-  }
-}
-
-function planSeverity(state: unknown): Severity {
-  return state === "stopped" || state === "aborting" || state === "aborted" ? "alarm" : "info";
-}
-
-function isBad(status: unknown): boolean {
-  return status === "critical" || status === "emergency" || status === "flight_termination";
-}
-
-function isFailed(data: FleetEvent["data"]): boolean {
-  const outcome = data["outcome"] as { ok?: unknown; result?: unknown } | undefined;
-  const ok = data["ok"] ?? outcome?.ok;
-  const result = data["result"] ?? outcome?.result;
-  return ok === false || (typeof result === "string" && WARNING_RESULTS.has(result));
-}
 
 export interface EventFilter {
   severities: ReadonlySet<Severity>;
@@ -99,12 +21,8 @@ export interface EventFilter {
 
 export const ALL_EVENTS: EventFilter = { severities: new Set(SEVERITIES), vehicles: null, words: "", open: false };
 
-export interface JudgedEvent extends NumberedEvent {
-  severity: Severity;
-}
-
 /** The events that pass, newest first. */
-export function shownEvents(events: readonly JudgedEvent[], filter: EventFilter, acknowledged: ReadonlySet<string>): JudgedEvent[] {
+export function shownEvents(events: readonly NumberedEvent[], filter: EventFilter, acknowledged: ReadonlySet<string>): NumberedEvent[] {
   const words = filter.words.toLowerCase().split(/\s+/).filter(Boolean);
   return events.filter((event) => {
       if (!filter.severities.has(event.severity)) return false;
@@ -123,9 +41,9 @@ export function keyOf(event: FleetEvent): string {
 
 export interface EventGroup {
   /** Of a loss the loss itself; else the newest. */
-  head: JudgedEvent;
+  head: NumberedEvent;
   /** The others, newest first. */
-  more: readonly JudgedEvent[];
+  more: readonly NumberedEvent[];
   /** Vehicles that the same happened to; empty for a group that followed from its head. */
   names: readonly string[];
 }
@@ -141,10 +59,10 @@ const TOGETHER_S = 5;
 const LEAST_ALIKE = 3;
 
 /** Groups in the order of `rows`, which are newest first. */
-export function grouped(rows: readonly JudgedEvent[]): EventGroup[] {
+export function grouped(rows: readonly NumberedEvent[]): EventGroup[] {
   const causes = causesOf(rows);
-  const groups: { group: EventGroup & { more: JudgedEvent[] }; likeness: string | null; oldest_s: number }[] = [];
-  const byCause = new Map<JudgedEvent, JudgedEvent[]>();
+  const groups: { group: EventGroup & { more: NumberedEvent[] }; likeness: string | null; oldest_s: number }[] = [];
+  const byCause = new Map<NumberedEvent, NumberedEvent[]>();
   for (const [event, cause] of causes) byCause.set(cause, [...(byCause.get(cause) ?? []), event]);
   const latest = new Map<string, (typeof groups)[number]>();
   for (const event of rows) {
@@ -175,8 +93,8 @@ function alike({ head, more }: EventGroup): EventGroup[] {
 }
 
 /** Each event that followed from a loss, with that loss. */
-function causesOf(rows: readonly JudgedEvent[]): Map<JudgedEvent, JudgedEvent> {
-  const causes = new Map<JudgedEvent, JudgedEvent>();
+function causesOf(rows: readonly NumberedEvent[]): Map<NumberedEvent, NumberedEvent> {
+  const causes = new Map<NumberedEvent, NumberedEvent>();
   const losses = rows.filter((event) => event.kind === "vehicle_lost" && event.data["forgotten"] !== true);
   for (const loss of losses) {
     const back = rows.filter((event) => event.kind === "vehicle_back" && event.vehicle === loss.vehicle && event.time_unix_s >= loss.time_unix_s).at(-1);
@@ -190,7 +108,7 @@ function causesOf(rows: readonly JudgedEvent[]): Map<JudgedEvent, JudgedEvent> {
 }
 
 /** Equal for events that say the same of different vehicles; null: of no vehicle. */
-function likenessOf({ kind, vehicle, severity, text, data }: JudgedEvent): string | null {
+function likenessOf({ kind, vehicle, severity, text, data }: NumberedEvent): string | null {
   if (vehicle === null) return null;
   // of these the text has figures of its own for each vehicle
   const what = kind === "mode" ? data["mode"] : ["vehicle_lost", "vehicle_back", "vehicle_discovered"].includes(kind) ? "" : text;
@@ -216,7 +134,7 @@ export function groupText({ head, names }: EventGroup): string {
 }
 
 /** What is said aloud of alarms that came together. */
-export function spokenText(alarms: readonly JudgedEvent[]): string {
+export function spokenText(alarms: readonly NumberedEvent[]): string {
   const groups = grouped([...alarms].reverse());
   const first = groups.at(-1);
   if (first === undefined) return "";

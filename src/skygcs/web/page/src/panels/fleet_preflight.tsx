@@ -5,14 +5,15 @@ import { namesText } from "../format.ts";
 import { useStore } from "../hooks.ts";
 import { mayOrder } from "./calls.ts";
 import { Failure, Scroll, useAsk, usePolled } from "./parts.tsx";
-import { matrixOf, type Matrix, type MatrixRow, type PreflightAnswer, type PreflightStatus, type Verdict } from "./preflight_report.ts";
+import type { PreflightFinding } from "../rpc_types.ts";
+import { matrixOf, type Matrix, type MatrixRow } from "./preflight_report.ts";
 import type { PanelProps } from "./registry.ts";
 import { VehiclePreflight } from "./vehicle_preflight.tsx";
 
 const POLL_MS = 3000;
 
 /** In the table; the word itself is read out. */
-const WORDS: Readonly<Record<Verdict, string>> = { fail: "FAIL", unknown: "?", pass: "ok", skipped: "–" };
+const WORDS: Readonly<Record<PreflightFinding["verdict"], string>> = { fail: "FAIL", unknown: "?", pass: "ok", skipped: "–" };
 
 export default function FleetPreflight(props: PanelProps) {
   const { store, connection } = props;
@@ -20,8 +21,8 @@ export default function FleetPreflight(props: PanelProps) {
   const names = useStore(store, (state) => state.names);
   const chosen = [...useStore(store, (state) => state.selection)];
   const targets = chosen.length > 0 ? chosen : [...names];
-  const status = usePolled<Record<string, PreflightStatus>>(store, connection, names.length === 0 ? null : "preflight.status", { targets: [...names] }, POLL_MS);
-  const run = useAsk<PreflightAnswer>(store, connection, "preflight.run");
+  const status = usePolled(store, connection, names.length === 0 ? null : "preflight.status", { targets: [...names] }, POLL_MS);
+  const run = useAsk(store, connection, "preflight.run");
   const [shown, setShown] = useState<string | null>(null);
   const matrix = matrixOf(status.answer ?? {});
   const examine = async (): Promise<void> => {

@@ -5,19 +5,12 @@ import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
 import { runOrder } from "../orders.ts";
-import type { Outcome } from "../types.ts";
 import { ask, mayOrder } from "./calls.ts";
 import { Choice, Failure, Kept, NumberField, useKept, useWork } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
+import type { FenceResults } from "../rpc_types.ts";
 
-export interface HomeFence {
-  enabled: boolean | null;
-  action: string | null;
-  radius_m: number | null;
-  height_m: number | null;
-}
-
-type Outcomes = Readonly<Record<string, Outcome & { fence: HomeFence | null }>>;
+type Outcomes = FenceResults["outcomes"];
 
 type Action = "leave" | "none" | "warn" | "hold" | "return" | "land" | "terminate";
 
@@ -65,13 +58,13 @@ export function HomeFencePanel({ store, connection, targets }: PanelProps & { ta
   const { busy, answer: found, error, run, show, clear } = useWork<Outcomes>();
   const about = targets.join("\n");
   useEffect(clear, [about, clear]); // what was read of others is not shown
-  const read = (): Promise<unknown> => run(async () => (await ask<{ outcomes: Outcomes }>(store, connection, "fence.status", { targets })).outcomes);
+  const read = (): Promise<unknown> => run(async () => (await ask(store, connection, "fence.status", { targets })).outcomes);
   const params = fenceParams(form);
   const set = async (): Promise<void> => {
     if (params === null) return;
     const mine = show(found);
-    const request = { label: `Fence about home: ${fenceText(form)}`, method: "fence.set", params: { targets, ...params }, targets };
-    const answer = await runOrder<{ outcomes: Outcomes }>(store, connection, request);
+    const request = { label: `Fence about home: ${fenceText(form)}`, method: "fence.set" as const, params: { targets, ...params }, targets };
+    const answer = await runOrder(store, connection, request);
     if (answer !== null && mine()) show(answer.outcomes);
   };
   if (targets.length === 0) return <p class="note">Select the vehicles whose fence it is.</p>;

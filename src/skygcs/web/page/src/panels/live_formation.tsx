@@ -4,38 +4,16 @@ import { useMemo, useState } from "preact/hooks";
 import { namesText, toDecimetre } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useFramed, useFrameKnown, useOverlay, useStore } from "../hooks.ts";
-import type { Vec3 } from "../types.ts";
+import type { Method, Params, Vec3 } from "../types.ts";
 import { runOrder } from "../orders.ts";
 import { mayOrder } from "./calls.ts";
 import { overlay } from "./drafts.ts";
 import { SHAPES, type FormationShape } from "./formation.ts";
 import { Choice, Failure, NumberField, PlainTable, usePolled, useTool } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
+import type { FormationStatus } from "../rpc_types.ts";
 
 const OVERLAY = "live formation";
-
-interface Member {
-  vehicle: string;
-  place_enu_m: Vec3;
-  off_place_m: number | null;
-  at_place: boolean;
-  hindered: boolean;
-  left: string | null;
-}
-
-export interface FormationStatus {
-  state: "none" | "flying" | "stopping" | "stopped";
-  reason: string;
-  settled: boolean;
-  leader: string | null;
-  middle_enu_m: Vec3 | null;
-  heading_deg: number | null;
-  scale: number | null;
-  rms_m: number | null;
-  least_m: number | null;
-  least_pair: readonly string[] | null;
-  members: readonly Member[];
-}
 
 const VIRTUAL = "";
 
@@ -44,7 +22,7 @@ type Shape = FormationShape | "current";
 export function LiveFormation(props: PanelProps) {
   const { store, connection, view } = props;
   const orders = useStore(store, mayOrder);
-  const found = usePolled<FormationStatus>(store, connection, "formation.status", {}, 500);
+  const found = usePolled(store, connection, "formation.status", {}, 500);
   const status = found.answer;
   const flies = status?.state === "flying";
   const ghosts = useMemo(
@@ -72,8 +50,8 @@ function Shown({ status }: { status: FormationStatus }) {
       <p>
         <b>{status.settled ? "settled" : status.state}</b>
         {status.leader === "virtual" ? "" : ` behind ${status.leader ?? "?"}`}
-        {status.rms_m === null ? "" : `, ${status.rms_m.toFixed(1)} m off their places in the mean`}
-        {status.least_m === null ? "" : `, least distance ${status.least_m.toFixed(1)} m (${(status.least_pair ?? []).join(" and ")})`}
+        {status.rms_m == null ? "" : `, ${status.rms_m.toFixed(1)} m off their places in the mean`}
+        {status.least_m == null ? "" : `, least distance ${status.least_m.toFixed(1)} m (${(status.least_pair ?? []).join(" and ")})`}
       </p>
       {status.reason !== "" && <p class="failure">{status.reason}</p>}
       <PlainTable rows={status.members} keyOf={(one) => one.vehicle} row={(one) => ({ class: one.left === null ? "" : "lost" })} columns={[
@@ -93,7 +71,7 @@ function Flying({ store, connection, view, status }: PanelProps & { status: Form
   const to = chosen ?? middle;
   const [heading, setHeading] = useState(Math.round(status.heading_deg ?? 0));
   const [scale, setScale] = useState(status.scale ?? 1);
-  const order = (label: string, method: string, params: object): void => void runOrder(store, connection, { label, method, params, targets });
+  const order = <M extends Method>(label: string, method: M, params: Params[M]): void => void runOrder(store, connection, { label, method, params, targets });
   const tool = useTool(
     view,
     () => ({

@@ -4,24 +4,17 @@ import { useState } from "preact/hooks";
 import { namesText } from "../format.ts";
 import { HoldButton } from "../hold_button.tsx";
 import { useStore } from "../hooks.ts";
-import { runOrder, sendOrder } from "../orders.ts";
+import { type OrderRequest, runOrder, sendOrder } from "../orders.ts";
 import { ask, mayOrder, said } from "./calls.ts";
 import { Failure, keepFile, NumberField, PlainTable, Scroll, usePolled, useWork, type FileContent } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
-
-export interface MissionStatus {
-  vehicle: string;
-  item: number | null;
-  state: string | null;
-  counts: Readonly<Record<"mission" | "fence" | "rally", number | null>>;
-  turn: { turn: number; of: number; state: "flies" | "waits" | "done" } | null;
-  transfer: { what: string; percent: number | null; sent?: number } | null;
-}
+import type { MissionStatus } from "../rpc_types.ts";
+import type { Method } from "../types.ts";
 
 /** Of the selected vehicles; without a selection of none. */
 export function useMissionStatus({ store, connection }: PanelProps, targets: readonly string[]): readonly MissionStatus[] {
   const method = targets.length === 0 ? null : "missions.status";
-  const { answer } = usePolled<MissionStatus[]>(store, connection, method, { targets }, 1000);
+  const { answer } = usePolled(store, connection, method, { targets }, 1000);
   return targets.length === 0 ? [] : (answer ?? []);
 }
 
@@ -57,11 +50,11 @@ function State({ one }: { one: MissionStatus }) {
 
 function Buttons({ store, connection, status, targets }: FlightProps) {
   const [item, setItem] = useState<number | null>(null);
-  const order = (label: string, method: string, params: object = {}): void => void sendOrder(store, connection, { label, method, params, targets });
+  const order = <M extends Method>(label: string, method: M, params: OrderRequest<M>["params"]): void => void sendOrder(store, connection, { label, method, params, targets });
   const whom = namesText(targets);
   return (
     <div class="row wrap">
-      <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start")}>
+      <HoldButton targets={targets} what={`Start the mission of ${whom}: arms`} act={() => order("Start mission", "missions.start", {})}>
         Start
       </HoldButton>
       {targets.length > 1 && (
@@ -74,10 +67,10 @@ function Buttons({ store, connection, status, targets }: FlightProps) {
           End the turns
         </button>
       )}
-      <button type="button" onClick={() => order("Pause mission", "missions.pause")}>Pause</button>
-      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume")}>Resume</HoldButton>
+      <button type="button" onClick={() => order("Pause mission", "missions.pause", {})}>Pause</button>
+      <HoldButton targets={targets} what={`Resume the mission of ${whom}`} act={() => order("Resume mission", "missions.resume", {})}>Resume</HoldButton>
       <NumberField label="Item" value={item} least={1} most={65535} step={1} onValue={setItem} />
-      <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => order(`Go to item ${item ?? 0}`, "missions.set_current", { item })}>
+      <HoldButton targets={targets} what={`Send ${whom} to item ${item ?? "?"}`} disabled={item === null} act={() => item !== null && order(`Go to item ${item}`, "missions.set_current", { item })}>
         Go to it
       </HoldButton>
       <HoldButton danger targets={targets} what={`Delete the mission of ${whom}`} act={() => order("Delete mission", "missions.clear", { lists: ["mission"] })}>
@@ -118,7 +111,7 @@ function Download(props: PanelProps & { name: string; showDownloaded: (file: Fil
 
 /** Reads what a vehicle holds, as a file. */
 async function downloaded({ store, connection }: PanelProps, name: string): Promise<FileContent> {
-  const answer = await ask<{ outcome: { ok: boolean; message: string }; plan: string | null }>(store, connection, "missions.download", { target: name });
+  const answer = await ask(store, connection, "missions.download", { target: name });
   if (answer.plan === null) throw new Error(answer.outcome.message);
   return { name: `${name}.plan`, text: answer.plan };
 }

@@ -276,12 +276,12 @@ function Checked({ store, connection, checked, targets, several, fenceOnly }: Ch
   const [refused, setRefused] = useState(false);
   useEffect(() => setRefused(false), [targets, several]);
   const { text } = checked;
-  const lists = fenceOnly ? ["fence"] : checked.holds;
+  const lists = fenceOnly ? (["fence"] as const) : checked.holds;
   const upload = (force: boolean): void =>
     void sendOrder(store, connection, {
       label: `Upload ${checked.name}`,
       method: "missions.upload",
-      params: { plan: text, name: checked.name, lists, force, arrangement: checked.holds.includes("mission") ? arrangementOf(several) : null },
+      params: { plan: text ?? "", name: checked.name, lists, force, arrangement: checked.holds.includes("mission") ? arrangementOf(several) : null },
       targets,
     }).then((state) => setRefused(state === "failed"));
   const length = lengthOf(checked);

@@ -1,6 +1,7 @@
 // One mission for several vehicles: how their missions differ. What is made of it is worked out by the station alone.
 
 import type { Store } from "../store.ts";
+import type { ArrangementParams } from "../rpc_types.ts";
 import type { Vec3 } from "../types.ts";
 import type { Shape } from "../view/overlays.ts";
 import { Choice, Failure, NumberField } from "./parts.tsx";
@@ -42,7 +43,7 @@ const AUTO: Readonly<Record<Kind, string>> = {
 };
 
 /** The parameter of missions.upload. */
-export function arrangementOf({ kind, stepM, spacingM, headingDeg }: Several): object | null {
+export function arrangementOf({ kind, stepM, spacingM, headingDeg }: Several): ArrangementParams | null {
   switch (kind) {
     case "same": return null;
     case "heights": return { kind, step_m: stepM };

@@ -1,13 +1,7 @@
 // Parameters in the browser: search, what a type can hold, edits that wait to be sent, and what is known of each vehicle's.
 
 import { Changes } from "../hooks.ts";
-
-export interface ParamEntry {
-  name: string;
-  /** Null: the vehicle reports no finite number. */
-  value: number | null;
-  type: string;
-}
+import type { ParamDescription, ParamEntry } from "../rpc_types.ts";
 
 export interface ValueRange {
   least: number;
@@ -26,22 +20,9 @@ const BITS: Readonly<Record<string, readonly [bits: number, signed: boolean]>> =
   INT32: [32, true],
 };
 
-/** Metadata of one parameter, of params.metadata. */
-export interface ParamMetadata {
-  unit: string;
-  least: number | null;
-  greatest: number | null;
-  /** The range as text, with the unit; empty without one. */
-  range: string;
-  reboot: boolean;
-  values: Readonly<Record<string, string>>;
-  bits: Readonly<Record<string, string>>;
-  description: string;
-}
-
 /** Why the daemon refuses a value unless somebody insists; null: it is within its range. As the daemon judges it: a value
  * with a meaning of its own is never outside, nor is the 0 of an ArduPilot, where it is "off". */
-export function outsideText(value: number, known: ParamMetadata | undefined, autopilot: string): string | null {
+export function outsideText(value: number, known: ParamDescription | undefined, autopilot: string): string | null {
   if (known === undefined || meaningText(value, known) !== null || (autopilot === "ardupilot" && value === 0)) return null;
   const low = known.least !== null && value < Math.min(known.least, Math.fround(known.least));
   const high = known.greatest !== null && value > Math.max(known.greatest, Math.fround(known.greatest));
@@ -49,13 +30,13 @@ export function outsideText(value: number, known: ParamMetadata | undefined, aut
 }
 
 /** The meaning of a listed value; null: it has none of its own. */
-export function meaningText(value: number, known: ParamMetadata): string | null {
+export function meaningText(value: number, known: ParamDescription): string | null {
   const found = Object.entries(known.values).find(([key]) => sameValue(Number(key), value));
   return found === undefined ? null : found[1];
 }
 
 /** One line about a parameter: what it is, its range, and whether a change needs a reboot. */
-export function aboutText(known: ParamMetadata | undefined): string {
+export function aboutText(known: ParamDescription | undefined): string {
   if (known === undefined) return "";
   const parts = [known.description, known.range, known.reboot ? "takes effect after a reboot" : ""];
   return parts.filter((part) => part !== "").join("; ");
@@ -128,7 +109,7 @@ export function groupOf(name: string): string {
 export interface ParamBook {
   params: readonly ParamEntry[];
   /** By name; empty until it came, and for a firmware without any. */
-  metadata: Readonly<Record<string, ParamMetadata>>;
+  metadata: Readonly<Record<string, ParamDescription>>;
   /** Where the metadata come from. */
   source: string;
   edits: ReadonlyMap<string, number>;

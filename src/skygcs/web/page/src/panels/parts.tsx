@@ -7,6 +7,7 @@ import { ageText } from "../format.ts";
 import { Changes, useChanges } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import type { Store } from "../store.ts";
+import type { Method, OwnMethod, Params, Results } from "../types.ts";
 import type { Tool } from "../view/overlays.ts";
 import type { FleetView } from "../view/fleet_view.ts";
 import { ask } from "./calls.ts";
@@ -25,8 +26,8 @@ export interface Answer<T> {
 }
 
 /** Asks every so often while it is shown, one question at a time, and not while the tab is hidden. */
-export function usePolled<T>(store: Store, connection: Connection, method: string | null, params: object, everyMs: number): Answer<T> {
-  const [found, setFound] = useState<Omit<Answer<T>, "again">>({ answer: null, atMs: 0, error: null });
+export function usePolled<M extends Method>(store: Store, connection: Connection, method: M | null, params: Params[M], everyMs: number): Answer<Results[M]> {
+  const [found, setFound] = useState<Omit<Answer<Results[M]>, "again">>({ answer: null, atMs: 0, error: null });
   const [turn, setTurn] = useState(0);
   const key = JSON.stringify(params);
   useEffect(() => {
@@ -40,7 +41,7 @@ export function usePolled<T>(store: Store, connection: Connection, method: strin
         return;
       }
       try {
-        const answer = await ask<T>(store, connection, method, JSON.parse(key) as object);
+        const answer = await ask(store, connection, method, JSON.parse(key) as Params[M]);
         if (here) setFound({ answer, atMs: performance.now(), error: null });
       } catch (error) {
         if (here) setFound((before) => ({ ...before, error: refusalText(error) }));
@@ -98,11 +99,15 @@ export function useWork<T>() {
   return { ...state, run, show, clear };
 }
 
+type Asking<P, T> = Omit<ReturnType<typeof useWork<T>>, "run"> & { run: (params: P | Promise<P>) => Promise<T | null> };
+
 /** One question at a person's wish; its parameters may have to be read from a file first. */
-export function useAsk<T>(store: Store, connection: Connection, method: string) {
-  const { run: work, ...rest } = useWork<T>();
+export function useAsk<M extends Method>(store: Store, connection: Connection, method: M): Asking<Params[M], Results[M]>;
+export function useAsk<T>(store: Store, connection: Connection, method: OwnMethod): Asking<object, T>;
+export function useAsk(store: Store, connection: Connection, method: OwnMethod): Asking<object, unknown> {
+  const { run: work, ...rest } = useWork<unknown>();
   const run = useCallback(
-    (params: object | Promise<object>) => work(async () => ask<T>(store, connection, method, await params)),
+    (params: object | Promise<object>) => work(async () => ask(store, connection, method, await params)),
     [work, store, connection, method],
   );
   return { ...rest, run };
@@ -278,8 +283,11 @@ export interface TabOf {
 }
 
 export function SubTabs({ label, tabs, now, go }: { label: string; tabs: readonly TabOf[]; now: string; go: (id: string) => void }) {
+  const row = useRef<HTMLDivElement>(null);
+  // on a phone the row is wider than the screen
+  useEffect(() => row.current?.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest", inline: "nearest" }), [now]);
   return (
-    <div class="subtabs" role="tablist" aria-label={label}>
+    <div ref={row} class="subtabs" role="tablist" aria-label={label}>
       {tabs.map((tab) => (
         <button key={tab.id} type="button" role="tab" class="subtab" aria-selected={tab.id === now} onClick={() => go(tab.id)}>
           {tab.title}

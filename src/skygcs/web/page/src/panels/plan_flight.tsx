@@ -12,18 +12,8 @@ import { Choice, Failure, NumberField, PlainTable, useWork } from "./parts.tsx";
 import { approachText, type Certificate, type CheckedPlan } from "./plan_shapes.ts";
 import { givenPlan } from "./plan_upload.ts";
 import type { PanelProps } from "./registry.ts";
-import type { PlanStatus } from "../types.ts";
-
-interface Report {
-  ok: boolean;
-  findings: readonly { vehicle: string | null; check: string; severity: "ok" | "note" | "warning" | "refused"; text: string; todo: string; insist: boolean }[];
-  certificate: Certificate | null;
-  way_there: Certificate | null;
-  duration_s: number | null;
-  steps: readonly { name: string; duration_s: number | null }[];
-  /** By vehicle: is, offered (m), the parameter. */
-  return_heights: Readonly<Record<string, readonly [number | null, number, string]>>;
-}
+import type { PlanReport } from "../rpc_types.ts";
+import type { Params, PlanStatus } from "../types.ts";
 
 type Mode = "position" | "velocity" | "attitude";
 
@@ -74,21 +64,21 @@ function metres(m: number | null): string {
 function Running({ store, connection, status }: PanelProps & { status: PlanStatus }) {
   const targets = status.vehicles.map((one) => one.vehicle);
   const [speed, setSpeed] = useState<number | null>(status.speed ?? 1);
-  const order = (label: string, method: string, params: object = {}): void =>
+  const order = <M extends "plan.abort" | "plan.speed">(label: string, method: M, params: Params[M]): void =>
     void runOrder(store, connection, { label, method, params, targets }, readMessage);
   const whom = namesText(targets);
   return (
     <>
       <div class="row wrap">
         <PlanButtons store={store} connection={connection} status={status} />
-        <HoldButton danger targets={targets} what={`Abort the plan of ${whom}: all stop where they are`} act={() => order("Abort plan", "plan.abort")}>
+        <HoldButton danger targets={targets} what={`Abort the plan of ${whom}: all stop where they are`} act={() => order("Abort plan", "plan.abort", {})}>
           Abort
         </HoldButton>
       </div>
       {status.kind === "timed" && (
         <div class="row">
           <NumberField label="Speed" unit="×" value={speed} least={0.1} most={2} onValue={setSpeed} />
-          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed })}>Change</button>
+          <button type="button" disabled={speed === null} onClick={() => order(`Speed ${speed ?? 1}×`, "plan.speed", { speed: speed ?? 1 })}>Change</button>
         </div>
       )}
     </>
@@ -99,23 +89,23 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
   const [mode, setMode] = useState<Mode>("position");
   const [speed, setSpeed] = useState<number | null>(1);
   /** What the daemon found of this plan in this mode, and its number of the plan: no other one is flown. */
-  const { busy, answer: found, error, run: work, show, clear } = useWork<{ plan: string; report: Report }>();
+  const { busy, answer: found, error, run: work, show, clear } = useWork<{ plan: string; report: PlanReport }>();
   const report = found?.report ?? null;
   const text = checked?.text ?? null;
   useEffect(clear, [checked, mode, speed, clear]);
   const params = { mode, speed: speed ?? 1 };
   const targets = Object.keys(checked?.goals ?? {});
   const examine = (name: string, given: string): Promise<unknown> => work(async () => {
-    const parts = await givenPlan(given, (part) => ask<{ upload: number }>(store, connection, "plan.upload", part));
-    const { plan } = await ask<{ plan: string }>(store, connection, "plan.load", { ...parts, name: name.slice(0, 64) });
-    return { plan, report: await ask<Report>(store, connection, "plan.check", { plan, ...params }) };
+    const parts = await givenPlan(given, (part) => ask(store, connection, "plan.upload", part));
+    const { plan } = await ask(store, connection, "plan.load", { ...parts, name: name.slice(0, 64) });
+    return { plan, report: await ask(store, connection, "plan.check", { plan, ...params }) };
   });
   const run = async (more: { force?: boolean; set_return_heights?: boolean }): Promise<void> => {
     if (found === null) return;
     const { plan } = found;
     const mine = show(found);
-    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run", params: { plan, ...params, ...more }, targets };
-    const answer = await runOrder<{ started: boolean; report: Report }>(store, connection, request, ({ started, report: after }) =>
+    const request = { label: `Fly ${checked?.name ?? "plan"}`, method: "plan.run" as const, params: { plan, ...params, ...more }, targets };
+    const answer = await runOrder(store, connection, request, ({ started, report: after }) =>
       said(started, after.findings.filter((one) => one.severity === "refused").map((one) => one.text).join("; ")));
     if (answer !== null && mine()) show(answer.started ? null : { plan, report: answer.report });
   };
@@ -155,9 +145,10 @@ function Before({ store, connection, checked, status }: PanelProps & { checked: 
 const SEVERITIES = ["refused", "warning", "note", "ok"];
 const VERDICTS: Readonly<Record<string, string>> = { refused: "fail", warning: "unknown", note: "skipped", ok: "pass" };
 
-function ReportView({ report }: { report: Report }) {
+function ReportView({ report }: { report: PlanReport }) {
   const [all, setAll] = useState(false);
   const findings = [...report.findings].sort((a, b) => SEVERITIES.indexOf(a.severity) - SEVERITIES.indexOf(b.severity));
+  const wayThere = report.way_there as Certificate | null;
   const shown = all ? findings : findings.filter((one) => one.severity !== "ok");
   return (
     <>
@@ -174,7 +165,7 @@ function ReportView({ report }: { report: Report }) {
       {findings.length > shown.length && (
         <button type="button" class="quiet" onClick={() => setAll(true)}>{findings.length - shown.length} checks passed</button>
       )}
-      {report.way_there?.closest != null && <p class="muted">On the way to the start: {approachText(report.way_there.closest)}</p>}
+      {wayThere?.closest != null && <p class="muted">On the way to the start: {approachText(wayThere.closest)}</p>}
       {report.steps.length > 0 && <p class="muted">Steps: {report.steps.map((step) => step.name).join(", ")}</p>}
     </>
   );

@@ -1,46 +1,8 @@
 // Reports of the preflight, of one vehicle and as a table of the fleet. Pure.
 
+import type { PreflightFinding, PreflightStatus } from "../rpc_types.ts";
 /** As a person reads them: what is red first. */
-export const VERDICTS = ["fail", "unknown", "pass", "skipped"] as const;
-
-export type Verdict = (typeof VERDICTS)[number];
-
-export interface Fix {
-  name: string;
-  before: number;
-  value: number;
-}
-
-export interface Finding {
-  check: string;
-  verdict: Verdict;
-  severity: string;
-  text: string;
-  todo: string;
-  fixes: readonly Fix[];
-}
-
-export interface Report {
-  ok: boolean;
-  summary: string;
-  findings: readonly Finding[];
-  fixes: readonly Fix[];
-  fixed: Readonly<Record<string, { ok: boolean; message: string }>>;
-  unfixed: string;
-}
-
-export interface PreflightAnswer {
-  ok: boolean;
-  vehicles: Readonly<Record<string, Report>>;
-}
-
-export interface PreflightStatus {
-  state: string;
-  required: boolean;
-  age_s: number | null;
-  refusal: string | null;
-  report: Report | null;
-}
+export const VERDICTS = ["fail", "unknown", "pass", "skipped"] as const satisfies readonly PreflightFinding["verdict"][];
 
 export interface Matrix {
   /** Vehicles with a report, the worst first. */
@@ -59,14 +21,14 @@ export interface Matrix {
 export interface MatrixRow {
   check: string;
   /** By vehicle; a vehicle without it was examined by an earlier daemon, or the check is not for its firmware. */
-  findings: ReadonlyMap<string, Finding>;
+  findings: ReadonlyMap<string, PreflightFinding>;
 }
 
 /** All vehicles by all checks: checks that somebody failed stand first, and vehicles that failed most. */
 export function matrixOf(statuses: Readonly<Record<string, PreflightStatus>>): Matrix {
   const examined = Object.entries(statuses).flatMap(([name, { report }]) => (report === null ? [] : [[name, report] as const]));
   const named = (state: string): string[] => Object.keys(statuses).filter((name) => statuses[name]?.state === state);
-  const byCheck = new Map<string, Map<string, Finding>>();
+  const byCheck = new Map<string, Map<string, PreflightFinding>>();
   for (const [name, { findings }] of examined) {
     for (const finding of findings) {
       const row = byCheck.get(finding.check);
@@ -74,8 +36,8 @@ export function matrixOf(statuses: Readonly<Record<string, PreflightStatus>>): M
       else row.set(name, finding);
     }
   }
-  const badness = (findings: Iterable<Finding>): number => [...findings].reduce((sum, { verdict }) => sum + (WEIGHT[verdict] ?? 0), 0);
-  const applies = (findings: ReadonlyMap<string, Finding>): boolean => [...findings.values()].some(({ verdict }) => verdict !== "skipped");
+  const badness = (findings: Iterable<PreflightFinding>): number => [...findings].reduce((sum, { verdict }) => sum + (WEIGHT[verdict] ?? 0), 0);
+  const applies = (findings: ReadonlyMap<string, PreflightFinding>): boolean => [...findings.values()].some(({ verdict }) => verdict !== "skipped");
   return {
     vehicles: examined.map(([name, { findings }]) => ({ name, bad: badness(findings) })).sort((a, b) => b.bad - a.bad).map(({ name }) => name),
     rows: [...byCheck].filter(([, findings]) => applies(findings)).map(([check, findings]) => ({ check, findings })).sort((a, b) => badness(b.findings.values()) - badness(a.findings.values())),

@@ -2,31 +2,12 @@
 
 import { ageText, fixed } from "../format.ts";
 import { RateMeter } from "./histories.ts";
-
-/** One RADIO_STATUS. */
-export interface RadioReport {
-  age_s: number;
-  txbuf_percent: number;
-  rssi: number;
-  noise: number;
-  remrssi?: number;
-  remnoise?: number;
-}
+import type { ClassCounters, CorrectionsStatus, RadioReport, Survey } from "../rpc_types.ts";
 
 export const REPORT_SERIES = ["txbuf", "rssi", "noise", "remrssi", "remnoise"] as const;
 
-export function reportRow(report: RadioReport): (number | null)[] {
-  return [report.txbuf_percent, report.rssi, report.noise, report.remrssi ?? null, report.remnoise ?? null];
-}
-
-export interface ClassCounters {
-  waiting: number;
-  sent: number;
-  sent_bytes: number;
-  replaced: number;
-  dropped: number;
-  refused: number;
-  wait_p95_s: number | null;
+export function reportRow(report: RadioReport): number[] {
+  return [report.txbuf_percent, report.rssi, report.noise, report.remrssi, report.remnoise];
 }
 
 /** Bytes a second of each traffic class, from two readings of its counter. */
@@ -55,46 +36,16 @@ export class ClassRates {
   }
 }
 
-export interface Survey {
-  state: "setting_up" | "surveying" | "surveyed" | "fixed";
-  duration_s: number | null;
-  minimum_s: number | null;
-  accuracy_m: number | null;
-  wanted_m: number | null;
-}
-
-export interface OwnSource {
-  kind: string;
-  name: string;
-  state: string;
-  text: string;
-  bytes_per_s: number;
-  age_s: number | null;
-  survey?: Survey | null;
-}
-
-/** What corrections.status answers, as far as the page shows it. */
-export interface Corrections {
-  source: string | null;
-  age_s: number | null;
-  bytes_per_s: number;
-  messages: number;
-  vehicles: readonly { name: string; fix: string | null; satellites: number | null }[];
-  rtk_float: number;
-  rtk_fixed: number;
-  own_source: OwnSource | null;
-}
-
 /** Corrections help for some ten seconds; a base sends them once a second. */
 const OLD_S = 10;
 
 /** Something is to be shown of them: a source is set up, or a program sends some. */
-export function areThere({ own_source, source }: Corrections): boolean {
+export function areThere({ own_source, source }: CorrectionsStatus): boolean {
   return own_source !== null || source !== null;
 }
 
 /** Where they come from, in one line; and whether that is as it should be. */
-export function sourceText({ own_source, source, age_s, bytes_per_s }: Corrections): { text: string; ok: boolean } {
+export function sourceText({ own_source, source, age_s, bytes_per_s }: CorrectionsStatus): { text: string; ok: boolean } {
   const name = own_source?.name ?? source ?? "no source";
   const state = own_source === null ? "" : `, ${own_source.state.replaceAll("_", " ")}`;
   const trouble = own_source === null || own_source.text === "" ? "" : `: ${own_source.text}`;
@@ -113,7 +64,7 @@ export function surveyText(survey: Survey | null | undefined): string | null {
 }
 
 /** "2 fixed, 1 float, 3 neither" */
-export function fixesText({ vehicles, rtk_fixed, rtk_float }: Corrections): string {
+export function fixesText({ vehicles, rtk_fixed, rtk_float }: CorrectionsStatus): string {
   const others = vehicles.length - rtk_fixed - rtk_float;
   return `${rtk_fixed} fixed, ${rtk_float} float${others > 0 ? `, ${others} neither` : ""}`;
 }

@@ -4,48 +4,12 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useReducer, useRef } from "preact/hooks";
 import { countText, fixed, percentText } from "../format.ts";
-import type { Link } from "../link_hints.ts";
 import { Chart } from "./chart.tsx";
-import { areThere, type ClassCounters, ClassRates, type Corrections, fixesText, type RadioReport, REPORT_SERIES, reportRow, sourceText, surveyText } from "./radio_figures.ts";
+import { areThere, ClassRates, fixesText, REPORT_SERIES, reportRow, sourceText, surveyText } from "./radio_figures.ts";
 import { HistoryRing } from "./histories.ts";
 import { Failure, PlainTable, Scroll, usePolled } from "./parts.tsx";
 import type { PanelProps } from "./registry.ts";
-
-interface RadioVehicle {
-  name: string;
-  sysid: number;
-  weight: number;
-  planned_bytes_per_s: number;
-  measured_bytes_per_s: number | null;
-  loss: number | null;
-  round_trip_s: number | null;
-  settled: boolean;
-  scaled: boolean;
-  streams: Readonly<Record<string, { planned_hz: number; measured_hz: number }>>;
-}
-
-interface ThirdParty {
-  bytes_per_s: number;
-  sources: readonly { source: string; age_s: number; sent: number; sent_bytes: number; counts: Readonly<Record<string, number>> }[];
-}
-
-export interface Radio {
-  link: string;
-  peer: string;
-  vehicles: readonly RadioVehicle[];
-  down: { budget_bytes_per_s: number; per_vehicle_bytes_per_s: number; planned_bytes_per_s: number; measured_bytes_per_s: number; factor: number };
-  up: {
-    base_bytes_per_s: number;
-    bytes_per_s: number;
-    paced_by: string;
-    round_s: number | null;
-    radio: RadioReport | null;
-    classes: Readonly<Record<string, ClassCounters>>;
-    third_party: ThirdParty | null;
-  };
-  poor: readonly string[];
-  history: readonly RadioReport[];
-}
+import type { CorrectionsStatus, LinkState, RadioAir, RadioUp, RadioVehicle, ThirdPartyShare } from "../rpc_types.ts";
 
 /** Ten minutes at one report a second. */
 const REPORT_ROWS = 600;
@@ -61,9 +25,9 @@ function keptOf(link: string): { reports: HistoryRing; classes: ClassRates } {
 }
 
 export default function RadioPanel({ store, connection }: PanelProps) {
-  const radios = usePolled<Radio[]>(store, connection, "link.status", {}, 1000);
-  const links = usePolled<Link[]>(store, connection, "links.list", {}, 2000);
-  const corrections = usePolled<Corrections>(store, connection, "corrections.status", {}, 2000);
+  const radios = usePolled(store, connection, "link.status", {}, 1000);
+  const links = usePolled(store, connection, "links.list", {}, 2000);
+  const corrections = usePolled(store, connection, "corrections.status", {}, 2000);
   return (
     <div class="panel radiopanel">
       <Failure text={radios.error} />
@@ -79,7 +43,7 @@ export default function RadioPanel({ store, connection }: PanelProps) {
 }
 
 /** RTK corrections: their source, its survey, and what the vehicles make of them. */
-function CorrectionsView({ corrections }: { corrections: Corrections }) {
+function CorrectionsView({ corrections }: { corrections: CorrectionsStatus }) {
   const source = sourceText(corrections);
   const survey = surveyText(corrections.own_source?.survey);
   return (
@@ -92,7 +56,7 @@ function CorrectionsView({ corrections }: { corrections: Corrections }) {
   );
 }
 
-function RadioView({ radio, atMs }: { radio: Radio; atMs: number }) {
+function RadioView({ radio, atMs }: { radio: RadioAir; atMs: number }) {
   const { up, down } = radio;
   const own = keptOf(`${radio.link} ${radio.peer}`);
   const [, redraw] = useReducer((n: number) => n + 1, 0);
@@ -133,7 +97,7 @@ function RadioView({ radio, atMs }: { radio: Radio; atMs: number }) {
   );
 }
 
-function Reports({ radio, reports }: { radio: Radio; reports: HistoryRing }) {
+function Reports({ radio, reports }: { radio: RadioAir; reports: HistoryRing }) {
   if (radio.up.radio === null && reports.length === 0) return <p class="note">The radio reports nothing (RADIO_STATUS): is its MAVLink framing on?</p>;
   const version = reports.version;
   return (
@@ -159,9 +123,9 @@ function Reports({ radio, reports }: { radio: Radio; reports: HistoryRing }) {
 const COUNTED = [["sent", "sent"], ["bytes", "sent_bytes"], ["waiting", "waiting"], ["replaced", "replaced"], ["dropped", "dropped"], ["refused", "refused"]] as const;
 const COUNTERS = [["received", "rx_frames"], ["sent", "tx_frames"], ["dropped", "tx_dropped"], ["bad CRC", "bad_crc"]] as const;
 
-type Row = readonly [string, Radio["up"]["classes"][string]];
+type Row = readonly [string, RadioUp["classes"][string]];
 
-function Classes({ classes, rates }: { classes: Radio["up"]["classes"]; rates: ClassRates }) {
+function Classes({ classes, rates }: { classes: RadioUp["classes"]; rates: ClassRates }) {
   const rows = Object.entries(classes).filter(([, one]) => one.waiting + one.sent + one.dropped + one.refused > 0);
   if (rows.length === 0) return <p class="note">Nothing was sent up yet.</p>;
   return (
@@ -176,7 +140,7 @@ function Classes({ classes, rates }: { classes: Radio["up"]["classes"]; rates: C
   );
 }
 
-function Others({ third }: { third: ThirdParty | null }) {
+function Others({ third }: { third: ThirdPartyShare | null }) {
   if (third === null || third.sources.length === 0) return <p class="note">No other program sends through this radio.</p>;
   return (
     <Scroll label="Other programs">
@@ -213,7 +177,7 @@ function remarks(one: RadioVehicle): string {
   return words.filter(Boolean).join(", ");
 }
 
-function Links({ links }: { links: readonly Link[] }) {
+function Links({ links }: { links: readonly LinkState[] }) {
   return (
     <Scroll label="Links">
       <PlainTable caption="Links" keyOf={({ link, i }) => `${link.name} ${i}`} row={({ link }) => ({ class: link.state === "up" ? "" : "lost" })}
@@ -223,14 +187,14 @@ function Links({ links }: { links: readonly Link[] }) {
           ["type", ({ link, i }) => (i === 0 ? link.type.replaceAll("_", " ") : "")],
           ["state", ({ link, i }) => (i > 0 ? "" : link.state === "up" ? "up" : `${link.state}${link.last_error === null ? "" : `: ${link.last_error}`}`)],
           ["peer", ({ channel }) => channel?.peer ?? ""],
-          ...COUNTERS.map(([title, key]) => [title, ({ channel }: { channel: Link["channels"][number] | null }) => countText(counterOf(channel, key)), "number"] as const),
+          ...COUNTERS.map(([title, key]) => [title, ({ channel }: { channel: LinkState["channels"][number] | null }) => countText(counterOf(channel, key)), "number"] as const),
         ]} />
     </Scroll>
   );
 }
 
-function counterOf(channel: Link["channels"][number] | null, key: string): number | null {
-  const value = channel?.counters?.[key] ?? channel?.[key];
+function counterOf(channel: LinkState["channels"][number] | null, key: string): number | null {
+  const value = channel?.counters?.[key] ?? (channel as Readonly<Record<string, unknown>> | null)?.[key];
   return typeof value === "number" ? value : null;
 }
 

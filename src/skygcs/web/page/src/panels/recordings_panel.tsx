@@ -5,22 +5,9 @@ import { useStore } from "../hooks.ts";
 import { runOrder } from "../orders.ts";
 import { mayOrder } from "./calls.ts";
 import { Failure, PlainTable, Scroll, usePolled, type PlainColumn } from "./parts.tsx";
+import type { RecordingsList } from "../rpc_types.ts";
 import type { PanelProps } from "./registry.ts";
 import { clockText } from "./replay_time.ts";
-
-interface RecordingFile {
-  name: string;
-  bytes: number;
-  begun_unix_s: number | null;
-  ended_unix_s: number;
-}
-
-interface Listed {
-  folder: string;
-  recordings: readonly RecordingFile[];
-  left_out: number;
-  replays: string | null;
-}
 
 const EVERY_MS = 5_000;
 /** The page of a replay is served on the station's own computer alone. */
@@ -28,13 +15,13 @@ const LOOPBACK = new Set(["localhost", "127.0.0.1", "[::1]"]);
 
 
 export default function RecordingsPanel({ store, connection }: PanelProps) {
-  const { answer, error, again } = usePolled<Listed>(store, connection, "recordings.list", {}, EVERY_MS);
+  const { answer, error, again } = usePolled(store, connection, "recordings.list", {}, EVERY_MS);
   const orders = useStore(store, mayOrder);
   const [opened, setOpened] = useState<{ name: string; address: string } | null>(null);
   const [starting, setStarting] = useState<string | null>(null);
   const replay = async (name: string): Promise<void> => {
     setStarting(name);
-    setOpened(await runOrder<{ name: string; address: string }>(store, connection, { label: `Replay ${name}`, method: "recordings.replay", params: { name }, targets: [] }));
+    setOpened(await runOrder(store, connection, { label: `Replay ${name}`, method: "recordings.replay", params: { name }, targets: [] }));
     setStarting(null);
     again();
   };
@@ -69,7 +56,7 @@ export default function RecordingsPanel({ store, connection }: PanelProps) {
             ["size", (one) => `${(one.bytes / 1e6).toFixed(1)} MB`, "number"],
             ...(orders ? [[<span class="unseen">Replay</span>, (one) => (
               <button type="button" aria-label={`Replay ${one.name}`} disabled={starting !== null} onClick={() => void replay(one.name)}>{starting === one.name ? "Replay starts …" : "Replay"}</button>
-            )] satisfies PlainColumn<RecordingFile>] : []),
+            )] satisfies PlainColumn<RecordingsList["recordings"][number]>] : []),
             ["file", (one) => one.name],
           ]} />
         </Scroll>

@@ -4,8 +4,8 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { useTick } from "../hooks.ts";
 import { refusalText } from "../orders.ts";
 import { clockText, type Mark, markAfter, markBefore, placeAt, type ReplayInfo } from "./replay_time.ts";
-import { severityOf } from "./event_severity.ts";
 import { Failure } from "./parts.tsx";
+import type { OwnMethod } from "../types.ts";
 import type { PanelProps } from "./registry.ts";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
@@ -62,7 +62,7 @@ function useReplay(connection: PanelProps["connection"]) {
   const [info, setInfo] = useState<{ info: ReplayInfo; atMs: number } | null>(null);
   const [error, setError] = useState<string | null>(null);
   const take = (next: ReplayInfo): void => setInfo({ info: next, atMs: performance.now() });
-  const order = (method: string, params: object = {}): void => {
+  const order = (method: OwnMethod, params: object = {}): void => {
     connection.call<ReplayInfo>(method, params).then(
       (next) => {
         take(next);
@@ -128,7 +128,7 @@ function useMarks(connection: PanelProps["connection"], scanned: boolean): reado
 function Ticks({ marks, duration_s }: { marks: readonly Mark[]; duration_s: number }) {
   return (
     <span class="ticks" aria-hidden="true">
-      {marks.map(({ at_s, event }, i) => <i key={i} data-severity={severityOf(event, null)} style={{ left: `${(100 * at_s) / duration_s}%` }} />)}
+      {marks.map(({ at_s, event }, i) => <i key={i} data-severity={event.severity} style={{ left: `${(100 * at_s) / duration_s}%` }} />)}
     </span>
   );
 }
@@ -149,7 +149,7 @@ function MarkButtons({ marks, position_s, may, seek }: { marks: readonly Mark[];
 
 function LastMark({ mark }: { mark: Mark | null }) {
   if (mark === null) return null;
-  return <span class="lastmark" data-severity={severityOf(mark.event, null)}>{clockText(mark.at_s)} {mark.event.vehicle ?? ""} {mark.event.text}</span>;
+  return <span class="lastmark" data-severity={mark.event.severity}>{clockText(mark.at_s)} {mark.event.vehicle ?? ""} {mark.event.text}</span>;
 }
 
 /** The newest place that was wanted, not every one on the way. */

@@ -11,7 +11,8 @@ import { histories } from "./histories.ts";
 import { Facts, Failure, NumberField, useAsk } from "./parts.tsx";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 import { isControlled, isFlown, isHeld } from "../setpoint_orders.ts";
-import type { Outcome } from "../types.ts";
+import type { Params } from "../types.ts";
+import type { GainsOfVehicle } from "../rpc_types.ts";
 
 const MODES = [["position", "Position"], ["velocity", "Velocity"], ["attitude", "Attitude"]] as const;
 
@@ -22,7 +23,7 @@ export function VehicleControl(props: VehicleProps) {
   const vehicle = store.state.vehicles.get(name);
   const control = vehicle?.control ?? null;
   const errors = histories.errorOf(name);
-  const order = (mode: string): void =>
+  const order = (mode: Params["control.set"]["mode"]): void =>
     void sendOrder(store, connection, { label: mode === "off" ? "Setpoints off" : `Fly by ${mode} setpoints`, method: "control.set", params: { mode }, targets: [name] });
   return (
     <>
@@ -92,23 +93,10 @@ function list(value: unknown): string {
 
 // --- gains ------------------------------------------------------------------------------------------------------------
 
-type AxisGains = Readonly<Record<string, number>>;
-
-interface GainsOf {
-  xy: AxisGains;
-  z: AxisGains;
-  hover_thrust: number;
-}
-
-interface GainsAnswer {
-  outcomes: Readonly<Record<string, Outcome>>;
-  gains: Readonly<Record<string, GainsOf>>;
-}
-
 const GAIN_WORDS: Readonly<Record<string, string>> = { pos_p_per_s: "place P", vel_p: "speed P", vel_i: "speed I", vel_d: "speed D" };
 
 function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: boolean }) {
-  const { answer, error, run, show } = useAsk<GainsAnswer>(store, connection, "control.gains");
+  const { answer, error, run, show } = useAsk(store, connection, "control.gains");
   const gains = answer?.gains[name] ?? null;
   const [changes, setChanges] = useState<Readonly<Record<string, number>>>({});
   const change = (key: string) => (typed: number | null): void => {
@@ -119,8 +107,8 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
   if (gains === null) return <Failure text={error} />;
   const changed = Object.entries(changes).filter(([key, value]) => value !== valueAt(gains, key));
   const apply = async (): Promise<void> => {
-    const request = { label: `Set ${changed.length} gains`, method: "control.gains", params: { targets: [name], ...nested(changed) }, targets: [name] };
-    const set = await runOrder<GainsAnswer>(store, connection, request);
+    const request = { label: `Set ${changed.length} gains`, method: "control.gains" as const, params: { targets: [name], ...nested(changed) }, targets: [name] };
+    const set = await runOrder(store, connection, request);
     if (set === null) return;
     show(set);
     setChanges({});
@@ -156,7 +144,7 @@ function Gains({ store, connection, name, enabled }: VehicleProps & { enabled: b
   );
 }
 
-function valueAt(gains: GainsOf, key: string): number | undefined {
+function valueAt(gains: GainsOfVehicle, key: string): number | undefined {
   const [axis, gain] = key.split(".");
   if (axis === "xy" || axis === "z") return gains[axis][gain ?? ""];
   return gains.hover_thrust;

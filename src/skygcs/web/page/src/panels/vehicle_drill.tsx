@@ -1,7 +1,8 @@
 // Faults that a simulated vehicle may be given, to practise.
 
 import { useState } from "preact/hooks";
-import { beginFault, endFault, STATUS, STATUS_EVERY_MS, type ActiveFault, type DrillFault, type DrillsStatus } from "../drill_bar.tsx";
+import { beginFault, endFault, STATUS, STATUS_EVERY_MS } from "../drill_bar.tsx";
+import type { ActiveDrillFault, DrillFault } from "../rpc_types.ts";
 import { namesText } from "../format.ts";
 import { useStore } from "../hooks.ts";
 import { mayOrder } from "./calls.ts";
@@ -18,7 +19,7 @@ const WHAT: Readonly<Record<string, string>> = {
 };
 
 export function VehicleDrill({ store, connection, name }: VehicleProps) {
-  const { answer, error, again } = usePolled<DrillsStatus>(store, connection, STATUS, {}, STATUS_EVERY_MS);
+  const { answer, error, again } = usePolled(store, connection, STATUS, {}, STATUS_EVERY_MS);
   const selection = useStore(store, (state) => state.selection);
   const orders = useStore(store, mayOrder);
   if (answer === null) return error === null ? <p class="note">Asking …</p> : <Failure text={error} />;
@@ -40,7 +41,7 @@ export function VehicleDrill({ store, connection, name }: VehicleProps) {
   );
 }
 
-function FaultRow({ fault, active, may, begin, end }: { fault: DrillFault; active: ActiveFault | null; may: boolean; begin: (value: number | null) => void; end: () => void }) {
+function FaultRow({ fault, active, may, begin, end }: { fault: DrillFault; active: ActiveDrillFault | null; may: boolean; begin: (value: number | null) => void; end: () => void }) {
   const [value, setValue] = useState(fault.default);
   const title = fault.text.charAt(0).toUpperCase() + fault.text.slice(1);
   return (

@@ -6,7 +6,6 @@ import { serverNowS } from "../store.ts";
 import { Chart, type ChartProps, type Curve } from "./chart.tsx";
 import { histories, SERIES, type SeriesName } from "./histories.ts";
 import { Age, Facts, Failure, PlainTable, usePolled } from "./parts.tsx";
-import type { Radio } from "./radio_panel.tsx";
 import type { VehicleProps } from "./vehicle_panel.tsx";
 
 type Picture = readonly [title: string, curves: readonly (readonly [SeriesName, Curve["colour"]])[], range?: ChartProps["range"]];
@@ -44,7 +43,7 @@ export function VehicleHistory({ name }: VehicleProps) {
 export function VehicleLinks({ store, connection, name }: VehicleProps) {
   const nowMs = useTick(500);
   const vehicle = useStore(store, (state) => state.vehicles.get(name));
-  const { answer, error } = usePolled<Pick<Radio, "link" | "vehicles">[]>(store, connection, "link.status", {}, 1000);
+  const { answer, error } = usePolled(store, connection, "link.status", {}, 1000);
   if (vehicle === undefined) return null;
   const since_s = Math.max(serverNowS(store.state, nowMs) - vehicle.heard_s, 0);
   const radios = (answer ?? []).flatMap((radio) => radio.vehicles.filter((one) => one.name === name).map((one) => ({ link: radio.link, ...one })));

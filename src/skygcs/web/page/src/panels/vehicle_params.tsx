@@ -7,26 +7,11 @@ import { useChanges, useStore } from "../hooks.ts";
 import { refusalText, runOrder } from "../orders.ts";
 import { ask, mayOrder, readParams } from "./calls.ts";
 import { Check, contentOf, DropZone, Failure, keepFile, PlainTable, useAsk, usePolled } from "./parts.tsx";
-import { aboutText, matches, meaningText, outsideText, type ParamBook, paramBooks, type ParamEntry, type ParamMetadata, parseValue, rangeText, sameValue, valueText } from "./param_values.ts";
+import { aboutText, matches, meaningText, outsideText, type ParamBook, paramBooks, parseValue, rangeText, sameValue, valueText } from "./param_values.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
+import type { ParamDescription, ParamEntry, ParamResults, ParamStatus } from "../rpc_types.ts";
 
 const SHOWN = 150;
-
-interface ParamList {
-  lists: Readonly<Record<string, { ok: boolean; message: string; params: readonly ParamEntry[] | null; compid: number; sysid: number; autopilot: string }>>;
-}
-
-interface MetadataAnswer {
-  vehicles: Readonly<Record<string, { source: string; parameters: Readonly<Record<string, ParamMetadata>> }>>;
-}
-
-interface ParamStatus {
-  loading: { received: number; count: number | null; percent: number | null; remaining_s: number | null } | null;
-}
-
-interface SetAnswer {
-  outcomes: Readonly<Record<string, Readonly<Record<string, { ok: boolean; result: string; message: string; value: number | null }>>>>;
-}
 
 export interface ParamsDifference {
   name: string;
@@ -48,7 +33,7 @@ export function VehicleParams(props: VehicleProps) {
   const keep = (change: (book: ParamBook) => ParamBook): void => paramBooks.change(name, change);
   const read = (): Promise<void> => readList(props, keep);
   const cancel = (): Promise<void> => cancelList(props, keep);
-  const { answer: status } = usePolled<Record<string, ParamStatus>>(store, connection, "params.status", { targets: [name] }, book.reading ? 500 : 5000);
+  const { answer: status } = usePolled(store, connection, "params.status", { targets: [name] }, book.reading ? 500 : 5000);
   const loading = status?.[name]?.loading ?? null;
   const shown = book.params.filter((one) => matches(one.name, search) && (!onlyChanged || book.edits.has(one.name) || book.setHere.has(one.name)));
   return (
@@ -103,7 +88,7 @@ type Keep = (change: (book: ParamBook) => ParamBook) => void;
 async function readList({ store, connection, name }: VehicleProps, keep: Keep): Promise<void> {
   keep((book) => ({ ...book, reading: true, failure: null }));
   try {
-    const found = (await ask<ParamList>(store, connection, "params.list", { targets: [name] })).lists[name];
+    const found = (await ask(store, connection, "params.list", { targets: [name] })).lists[name];
     const failure = found === undefined || !found.ok ? found?.message ?? "no answer for this vehicle" : null;
     keep((book) => ({ ...book, reading: false, failure }));
     if (found !== undefined && found.params !== null && found.params.length > 0) {
@@ -122,7 +107,7 @@ const MOST_NAMES = 2000;
 /** Units, ranges and descriptions of what is shown; without them the values are shown all the same. */
 async function readMetadata({ store, connection, name }: Pick<VehicleProps, "store" | "connection" | "name">, names: readonly string[], keep: Keep): Promise<void> {
   const request = { targets: [name], names: names.slice(0, MOST_NAMES) };
-  const found = (await ask<MetadataAnswer>(store, connection, "params.metadata", request)).vehicles[name];
+  const found = (await ask(store, connection, "params.metadata", request)).vehicles[name];
   if (found !== undefined) keep((book) => ({ ...book, metadata: found.parameters, source: found.source }));
 }
 
@@ -146,8 +131,8 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
     setBusy(true);
     const params = Object.fromEntries(book.edits);
     const label = book.edits.size === 1 ? `Set ${[...book.edits.keys()].join()}` : `Set ${book.edits.size} parameters`;
-    const request = { label, method: "params.set", params: { targets: [name], params, force }, targets: [name] };
-    const answer = await runOrder<SetAnswer>(store, connection, request, ({ outcomes }) => readParams(outcomes[name] ?? {}));
+    const request = { label, method: "params.set" as const, params: { targets: [name], params, force }, targets: [name] };
+    const answer = await runOrder(store, connection, request, ({ outcomes }) => readParams(outcomes[name] ?? {}));
     const outcomes = answer?.outcomes[name];
     if (outcomes !== undefined) keep((before) => afterSet(before, outcomes));
     setInsisting(false);
@@ -186,7 +171,7 @@ function Edits({ store, connection, name, book, keep, enabled }: VehicleProps & 
 }
 
 /** What the vehicle now reports takes the place of what was known; what it took is no edit any more. */
-function afterSet(book: ParamBook, outcomes: SetAnswer["outcomes"][string]): ParamBook {
+function afterSet(book: ParamBook, outcomes: ParamResults["outcomes"][string]): ParamBook {
   const edits = new Map([...book.edits].filter(([param]) => outcomes[param]?.ok !== true));
   const setHere = new Set([...book.setHere, ...Object.keys(outcomes).filter((param) => outcomes[param]?.ok === true)]);
   const params = book.params.map((one) => ({ ...one, value: outcomes[one.name]?.value ?? one.value }));
@@ -222,7 +207,7 @@ function ParamTable({ book, rows, keep, enabled }: { book: ParamBook; rows: read
 }
 
 /** What the value means, or that it is outside its range. */
-function Meaning({ value, known, autopilot }: { value: number | null; known: ParamMetadata | undefined; autopilot: string }) {
+function Meaning({ value, known, autopilot }: { value: number | null; known: ParamDescription | undefined; autopilot: string }) {
   if (value === null || known === undefined) return null;
   const outside = outsideText(value, known, autopilot);
   if (outside !== null) return <small class="failure"> {outside}</small>;
@@ -230,7 +215,7 @@ function Meaning({ value, known, autopilot }: { value: number | null; known: Par
   return meaning === null ? null : <small class="muted"> {meaning}</small>;
 }
 
-function ValueField({ param, known, edited, edit }: { param: ParamEntry; known: ParamMetadata | undefined; edited: number | undefined; edit: (param: ParamEntry, value: number | null) => void }) {
+function ValueField({ param, known, edited, edit }: { param: ParamEntry; known: ParamDescription | undefined; edited: number | undefined; edit: (param: ParamEntry, value: number | null) => void }) {
   const [typed, setTyped] = useState<string | null>(null);
   const [problem, setProblem] = useState<string | null>(null);
   const take = (text: string): void => {

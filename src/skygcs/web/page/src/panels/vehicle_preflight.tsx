@@ -8,21 +8,22 @@ import { runOrder } from "../orders.ts";
 import { mayOrder, readParams } from "./calls.ts";
 import { Age, Check, Failure, useAsk, usePolled } from "./parts.tsx";
 import { valueText } from "./param_values.ts";
-import { VERDICTS, type Fix, type PreflightAnswer, type PreflightStatus } from "./preflight_report.ts";
+import { VERDICTS } from "./preflight_report.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
+import type { PreflightFix } from "../rpc_types.ts";
 
 export function VehiclePreflight({ store, connection, name }: VehicleProps) {
   const orders = useStore(store, mayOrder);
-  const status = usePolled<Record<string, PreflightStatus>>(store, connection, "preflight.status", { targets: [name] }, 3000);
-  const run = useAsk<PreflightAnswer>(store, connection, "preflight.run");
+  const status = usePolled(store, connection, "preflight.status", { targets: [name] }, 3000);
+  const run = useAsk(store, connection, "preflight.run");
   const [left, setLeft] = useState<ReadonlySet<string>>(new Set());
   const here = status.answer?.[name] ?? null;
   const report = run.answer?.vehicles[name] ?? here?.report ?? null;
   const chosen = (report?.fixes ?? []).filter((fix) => !left.has(fix.name));
   const fix = async (): Promise<void> => {
     const confirmed = { [name]: Object.fromEntries(chosen.map((one) => [one.name, one.value])) };
-    const request = { label: `Set ${chosen.length} parameters`, method: "preflight.run", params: { targets: [name], fix: true, confirmed }, targets: [name] };
-    await runOrder<PreflightAnswer>(store, connection, request, ({ vehicles }) => readParams(vehicles[name]?.fixed ?? {}, vehicles[name]?.unfixed));
+    const request = { label: `Set ${chosen.length} parameters`, method: "preflight.run" as const, params: { targets: [name], fix: true, confirmed }, targets: [name] };
+    await runOrder(store, connection, request, ({ vehicles }) => readParams(vehicles[name]?.fixed ?? {}, vehicles[name]?.unfixed));
     run.clear();
     status.again();
   };
@@ -64,7 +65,7 @@ export function VehiclePreflight({ store, connection, name }: VehicleProps) {
   );
 }
 
-function Fixes({ fixes, left, setLeft }: { fixes: readonly Fix[]; left: ReadonlySet<string>; setLeft: (left: ReadonlySet<string>) => void }) {
+function Fixes({ fixes, left, setLeft }: { fixes: readonly PreflightFix[]; left: ReadonlySet<string>; setLeft: (left: ReadonlySet<string>) => void }) {
   if (fixes.length === 0) return null;
   return (
     <fieldset class="card">

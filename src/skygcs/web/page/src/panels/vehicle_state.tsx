@@ -9,22 +9,14 @@ import { mayOrder } from "./calls.ts";
 import { Age, Facts, Failure, Fold, NumberField, PlainTable, usePolled } from "./parts.tsx";
 import { fieldText, groupsOf, labelOf } from "./telemetry_text.ts";
 import type { VehicleProps } from "./vehicle_panel.tsx";
-
-/** What vehicles.get answers beside what web.state has. */
-export interface FullState {
-  name: string;
-  status_texts: readonly { severity: string; level: number; text: string; compid: number; age_s: number }[];
-  components: readonly { compid: number; name: string | null; type: string | null; age_s: number; messages: number }[];
-  messages: Readonly<Record<string, { rate_hz: number; age_s: number; count: number }>>;
-  [group: string]: unknown;
-}
+import type { VehicleState } from "../rpc_types.ts";
 
 const OPEN_GROUPS = new Set(["position", "battery", "gps"]);
 /** A group that is so old is not of now. */
 const OLD_S = 5;
 
-export function useFullState({ store, connection, name }: VehicleProps, everyMs = 1000): { state: FullState | null; sinceS: number; error: string | null } {
-  const { answer, atMs, error } = usePolled<FullState>(store, connection, "vehicles.get", { target: name }, everyMs);
+export function useFullState({ store, connection, name }: VehicleProps, everyMs = 1000): { state: VehicleState | null; sinceS: number; error: string | null } {
+  const { answer, atMs, error } = usePolled(store, connection, "vehicles.get", { target: name }, everyMs);
   const nowMs = useTick(500);
   return { state: answer, sinceS: Math.max(nowMs - atMs, 0) / 1000, error };
 }
@@ -32,7 +24,7 @@ export function useFullState({ store, connection, name }: VehicleProps, everyMs 
 export function VehicleFields(props: VehicleProps) {
   const { state, sinceS, error } = useFullState(props);
   if (state === null) return error === null ? <p class="note">Asking …</p> : <Failure text={error} />;
-  const { groups, plain } = groupsOf(state);
+  const { groups, plain } = groupsOf({ ...state });
   return (
     <>
       <Failure text={error} />
@@ -86,13 +78,6 @@ export function VehicleTexts(props: VehicleProps) {
   );
 }
 
-interface LatestMessage {
-  name: string;
-  compid: number;
-  age_s: number;
-  fields: Readonly<Record<string, unknown>>;
-}
-
 export function VehicleMessages(props: VehicleProps) {
   const { state, sinceS, error } = useFullState(props);
   const [search, setSearch] = useState("");
@@ -122,7 +107,7 @@ function breakable(name: string): ComponentChildren {
 }
 
 function Message({ store, connection, name, message, close }: VehicleProps & { message: string; close: () => void }) {
-  const { answer, error } = usePolled<LatestMessage | null>(store, connection, "messages.latest", { target: name, name: message }, 1000);
+  const { answer, error } = usePolled(store, connection, "messages.latest", { target: name, name: message }, 1000);
   const orders = useStore(store, mayOrder);
   const [rate, setRate] = useState<number | null>(null);
   const want = (rate_hz: number | null): void => {
