@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from skygcs.rpc import openrpc
+from skygcs.rpc import dispatch
 from skygcs.rpc.dispatch import Method
 from skygcs.web.daemon_connection import STATE_KEYS
 
@@ -34,7 +34,7 @@ def used(methods: Iterable[Method[Any]]) -> list[Method[Any]]:
 
 def page_types(methods: Iterable[Method[Any]]) -> str:
     """The file: each schema as an interface, then the parameters and the result of each method that the page names."""
-    document = openrpc.document(used(methods))
+    document = dispatch.document(used(methods))
     schemas = document["components"]["schemas"]
     results, params = [], []
     for method in document["methods"]:
