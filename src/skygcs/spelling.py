@@ -53,14 +53,15 @@ MAX_WORD_CHARS = 80
 
 def near_names(word: str, known: Iterable[str], *, n: int = 3, cutoff: float = 0.6) -> list[str]:
     """At most ``n`` of the known names that are spelled like the begin of ``word``, in whatever case, the most similar
-    first."""
+    first; of names that differ in their case only, that in the case of ``word``."""
     import difflib  # with the first typing error: 0.15 MB that a daemon does without
 
-    folded: dict[str, str] = {}
+    begin = word[:MAX_WORD_CHARS]
+    folded: dict[str, list[str]] = {}
     for name in known:
-        folded.setdefault(name.casefold(), name)
-    near = difflib.get_close_matches(word[:MAX_WORD_CHARS].casefold(), folded, n=n, cutoff=cutoff)
-    return [folded[name] for name in near]
+        folded.setdefault(name.casefold(), []).append(name)
+    near = difflib.get_close_matches(begin.casefold(), folded, n=n, cutoff=cutoff)
+    return [name for same in near for name in difflib.get_close_matches(begin, folded[same], n=n, cutoff=0.0)][:n]
 
 
 def enumerated(names: Iterable[object], most: int = 5) -> str:

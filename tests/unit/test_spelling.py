@@ -72,3 +72,10 @@ def test_a_list_of_sentences_names_how_many_are_left_out():
 )
 def test_a_name_in_another_case_is_near(word: str, near: list[str]) -> None:
     assert near_names(word, iter(["alpha", "Bravo", "ATTITUDE", "ALTITUDE"])) == near
+
+
+@each(("word", "near"), [("alpah", ["alpha", "Alpha"]), ("ALPAH", ["Alpha", "alpha"]), ("Alpah", ["Alpha", "alpha"])])
+def test_of_two_names_that_differ_in_case_that_in_the_same_case_is_nearer(word: str, near: list[str]) -> None:
+    """A vehicle may be called alpha beside another one that is called Alpha."""
+    assert near_names(word, ["Alpha", "alpha", "bravo"]) == near
+    assert near_names(word, ["Alpha", "alpha", "bravo"], n=1) == near[:1]

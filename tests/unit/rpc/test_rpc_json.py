@@ -209,14 +209,29 @@ SERIOUS = {
         {"duration_s": 1.5} | {axis: [1] * (MAX_DEGREE + 1) for axis in ("x", "y", "up", "yaw")}
         for _ in range(MAX_PIECES)
     ],
-    "a file in a text": {"text": '[{"\\"a\\\\": [1, 2, 3]}]' * 50_000},
+    "a file in a text": {"text": '[{"\\"a\\\\": [1, 2, 3]}]' * 30_000},
+    "written paths of 100 vehicles": {
+        "paths": {f"v{vehicle}": {"points": [[n, vehicle, 10.5] for n in range(400)]} for vehicle in range(100)}
+    },
+    "a report of 100 vehicles in ROS": {
+        "vehicles": [
+            {"name": f"v{n}", "root": f"/v{n}", "setpoints": "none"}
+            | dict.fromkeys(("setpoints_sent", "setpoints_refused", "commands_rejected"), n)
+            for n in range(100)
+        ],
+        "topics": [
+            {"name": f"/v{n // 80}/out/{n % 80}", "readers": 1, "rate_hz": 10.0, "count": 12345, "refused": 0}
+            for n in range(8000)
+        ],
+    },
     "all parameters": {f"P{n}": n for n in range(MAX_MEMBERS)},
 }
 
 
 @pytest.mark.parametrize("params", SERIOUS.values(), ids=SERIOUS)
 def test_what_is_meant_seriously_is_read(params: object) -> None:
-    assert parse_request(json.dumps(params, separators=(",", ":")).encode()) == params
+    line = json.dumps(params, separators=(",", ":")).encode()
+    assert len(line) <= MAX_LINE_BYTES and parse_request(line) == params
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from skygcs.core.vehicle.targets import MAX_CHARS
 from skygcs.rpc import client_peer, dispatch, sessions, work_gate
 from skygcs.rpc.dispatch import MAX_MEMBERS
 from skygcs.rpc.models import MAX_TEXT_CHARS
+from skygcs.rpc.replies import MOST
 from support.extension_parts import ALL_METHODS
 from support.rpc_reference import reference, shared
 
@@ -23,8 +24,10 @@ def test_every_method_and_parameter_is_described_as_it_is() -> None:
 
 def test_the_limits_are_those_of_the_server() -> None:
     text = PAGE.read_text(encoding="utf-8")
+    bounds = ", ".join(str(most) for _, most in MOST.values())
     for row in (
         f"| a line | {sessions.MAX_LINE_BYTES >> 20} MiB |",
+        f"| lists and objects, keys, commas in a line, those in texts aside | {bounds} |",
         f"| requests in a batch | {sessions.MAX_BATCH} |",
         f"| characters of a text without a bound of its own, of all targets | {MAX_TEXT_CHARS}, {MAX_CHARS} |",
         f"| members of one parameter, characters of a link's description | {MAX_MEMBERS}, {MAX_LINK_CHARS} |",
