@@ -24,7 +24,7 @@ from skygcs.core.monitor.departures import (
     known_return_height,
     return_height,
 )
-from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.monitor.tracks import is_flying, why_unplaced
 from skygcs.core.monitor.ways import column, too_near
 from skygcs.core.vehicle.fence_params import CLEARANCE_M, NAMES, has_known_fence, known_ceiling_m
 from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, HomeWatch
@@ -192,7 +192,8 @@ class ReturnMembers:
         vehicle = actor.vehicle
         position, at = vehicle.timed_telemetry("position")
         home = vehicle.telemetry("home")
-        if position is None or at is None or home is None or self.frame is None or position["lat_deg"] is None:
+        placed = why_unplaced(position) is None
+        if position is None or at is None or home is None or self.frame is None or not placed:
             seen = self._seen.get(vehicle.key)
             return None if seen is None else replace(seen[0], age_s=max(0.0, now - seen[1]))
         height, ceiling_m = known_return_height(vehicle), known_ceiling_m(vehicle)

@@ -30,7 +30,7 @@ from typing import NamedTuple
 from skygcs.core.mavlink.vehicle_class import HeightParam
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME
-from skygcs.core.monitor.tracks import is_flying
+from skygcs.core.monitor.tracks import is_flying, why_unplaced
 from skygcs.core.monitor.ways import Leg, Way, beginning, column, leads_on, needed_m, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -58,6 +58,9 @@ OTHERS_S = 300.0
 
 MOVED_M = 1.0
 """Farther than one that hovers wanders by noise and gusts."""
+
+ASIDE_M = 120.0
+"""Nobody climbs higher above its home only to let others by: what may be flown without a permit. It waits there."""
 
 SILENT_S = 1.0
 """The space of one whose position is older grows no more: it hovers, or flies its way home."""
@@ -107,7 +110,7 @@ def _known(vehicle: Vehicle, param: HeightParam) -> float | None:
 def is_placed(vehicle: Vehicle, now: float) -> bool:
     """True if its way home is known: it flies, is heard, and reports where it and its home are."""
     position, home = vehicle.telemetry("position"), vehicle.telemetry("home")
-    placed = position is not None and position["lat_deg"] is not None and home is not None
+    placed = home is not None and why_unplaced(position) is None
     stays = vehicle.abilities_now(now).hovers and not vehicle.abilities_now(now).circles
     return placed and stays and vehicle.connected and not vehicle.replayed and is_flying(vehicle, now)
 
@@ -316,15 +319,15 @@ def _out_of_ways(
     stays: Collection[int],
     fenced: set[int],
 ) -> Generator[None, None, dict[int, float]]:
-    """One that waits where a way of another leads through, and the height at which it is above all such ways. It sets
-    out while whoever comes is not at its column yet."""
+    """One that waits where a way of another leads through, and the height at which it is above all such ways where it
+    stands; never above `ASIDE_M`. It sets out while whoever comes is not at its column yet."""
     for one in ordered:
         if one.key not in blocked:
             continue
         yield
         through = [way for way in taken if way.key not in stays and too_near(one.place(), way) and leads_on(way)]
-        goals = [_height_above(one, way) for way in through]
-        if not goals or math.isinf(max(goals)):
+        goals = [_height_above(one, _over(one, way)) if way.is_known else math.inf for way in through]
+        if not goals or max(goals) > one.home[2] + ASIDE_M:
             continue
         goal_m = max(goals)
         if goal_m + one.height.climb_m > one.ceiling_m:
@@ -336,6 +339,12 @@ def _out_of_ways(
         if not any(too_near(up, way) for way in rest):
             return {one.key: goal_m}
     return {}
+
+
+def _over(one: Returning, way: Way) -> Way:
+    """The legs of a way that comes too near one where it stands, or that would if it climbed there."""
+    up = replace(one.place(), legs=(column(one.here, math.inf),))
+    return replace(way, legs=tuple(leg for leg in way.legs if too_near(up, replace(way, legs=(leg,)))))
 
 
 def _height_above(one: Returning, way: Way) -> float:

@@ -316,7 +316,7 @@ def _read(track: Track, now: float) -> str | None:
     if vehicle.ids.beside:
         return "two vehicles send with its system id on one link"
     position, at = vehicle.timed_telemetry("position")
-    why = _why_unplaced(position)
+    why = why_unplaced(position)
     if position is not None and at is not None and why is None and at != track.at:
         east, north, up = position["vel_enu_mps"]
         lat_deg, lon_deg, alt_m = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
@@ -333,7 +333,7 @@ def _read(track: Track, now: float) -> str | None:
     return f"{why or f'no position for {TRACK_SILENT_S:g} s'}: it may be anywhere" if track.lost else None
 
 
-def _why_unplaced(position: Mapping[str, Any] | None) -> str | None:
+def why_unplaced(position: Mapping[str, Any] | None) -> str | None:
     """Why a report is no position; None: it is one."""
     if position is None or position["lat_deg"] is None:
         return "it reports no position"

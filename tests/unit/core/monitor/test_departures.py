@@ -33,7 +33,7 @@ from skygcs.core.monitor.departures import (
     return_height,
     why_not_held,
 )
-from skygcs.core.monitor.ways import Leg, Way, column, sloped, standing, too_near
+from skygcs.core.monitor.ways import Leg, Way, along, column, sloped, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from support.examples import examples
 from support.watched_fleet import GUIDED, LAND, ORIGIN, RTL, WatchedVehicle
@@ -271,6 +271,29 @@ def test_one_that_waits_in_a_way_climbs_only_where_that_is_free(
     assert bool(decided.fenced) is (ceiling_m == 12.0)
 
 
+@pytest.mark.parametrize(
+    ("up_m", "end_m", "least_m", "most_m"),
+    [
+        (10.0, 110.0, 16.0, 40.0),  # the other one climbs to 110 m, but not here
+        (110.0, 110.0, 116.0, 120.0),
+        (118.0, 118.0, None, None),  # above it is too high
+        (10.0, math.nan, None, None),  # nobody knows how high
+    ],
+)
+def test_one_climbs_out_of_a_way_only_above_where_it_leads_through(
+    up_m: float, end_m: float, least_m: float | None, most_m: float | None
+) -> None:
+    """It climbed as high as the whole way leads anywhere, without a bound."""
+    way = Way(9, "v9", SIZE, along([(-40.0, 0.0, up_m), (30.0, 0.0, up_m), (200.0, 0.0, end_m)]))
+    one = at(1, (-10.0, 1.0, up_m), (-10.0, -30.0))
+    decided = departures([one], [], [way])
+    assert decided.leave == ()
+    if least_m is None or most_m is None:
+        assert decided.climb == {}
+    else:
+        assert least_m <= decided.climb[1] <= most_m
+
+
 def test_one_that_climbs_takes_the_space_up_to_its_goal() -> None:
     climbs = replace(at(1, (0.0, 0.0, 10.0), (50.0, 0.0)), goal_m=20.0)
     assert climbs.place().heights == (10.0, 20.0)
@@ -387,6 +410,14 @@ def test_one_without_a_place_or_a_home_or_that_circles_is_not_placed() -> None:
     for one in (nowhere, plane):
         one.send("HOME_POSITION", 1.0, latitude=437806000, longitude=-794653000, altitude=180000)
     assert not any(is_placed(one.vehicle, 1.0) for one in (homeless, nowhere, plane))
+    copter = WatchedVehicle(4)
+    copter.heartbeat(1.0, kind=2)
+    copter.send("HOME_POSITION", 1.0, latitude=437806000, longitude=-794653000, altitude=180000)
+    for lat_deg, placed in ((43.7806, True), (200.0, False)):  # not on earth: no frame for a round of returns
+        copter.send(
+            "GLOBAL_POSITION_INT", 2.0, lat=round(lat_deg * 1e7), lon=-794653000, alt=190000, relative_alt=10000
+        )
+        assert is_placed(copter.vehicle, 2.0) is placed
 
 
 def test_returns_go_on_while_one_of_them_moves_and_not_for_ever_while_others_do() -> None:
