@@ -89,7 +89,7 @@ async def test_a_rover_that_is_disarmed_on_its_way_coasts_to_a_stop(tmp_path: Pa
         await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0)
         assert away_m(rover, 0, 60) > 30
         # armed again it would drive on to its place; out of GUIDED and back it stands
-        assert "would drive on at once" in await refusal(gcs, "vehicles.arm")
+        assert "may drive on at once" in await refusal(gcs, "vehicles.arm")
         stands = rover.motion.pos_enu_m
         await gcs.done("vehicles.mode", mode="HOLD")
         await gcs.done("vehicles.arm")

@@ -339,7 +339,7 @@ class Abilities:
     turns: bool = False
     """It takes the heading of a goto."""
     moves_off: frozenset[str] = frozenset()
-    """Modes in which it goes on its way as soon as it is armed."""
+    """Modes in which it may go on its way as soon as it is armed."""
     returns: bool = True
     return_mode: str = ""
     """Mode of a return; "": NAV_RETURN_TO_LAUNCH."""
@@ -422,9 +422,9 @@ _ON_THE_GROUND = Abilities(flies=False, return_end=ReturnEnd.STANDS)
 _PX4_GOES = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})
 _PLANE_GOES = frozenset({"AUTO", "TAKEOFF"})
 """ArduPlane/servos.cpp: Plane::suppress_throttle."""
-_ROVER_GOES = frozenset({"AUTO", "GUIDED"})
+_ROVER_GOES = frozenset({"AUTO", "CIRCLE", "DOCK", "FOLLOW", "GUIDED"})
 """In GUIDED a Rover that was disarmed on its way drives on to its place (mode_guided.cpp: update; Rover::set_mode to
-the same mode changes nothing)."""
+the same mode changes nothing), and stands if it has none. Armed in CIRCLE, Rover 4.6.3 was at 4 m/s after 4 s."""
 
 _PX4 = Abilities(stop_mode="AUTO.LOITER", landing=Landing.HERE, return_heights=_PX4_RETURN, moves_off=_PX4_GOES)
 _PX4_DRIVES = replace(_PX4, flies=False, landing=Landing.NONE, return_end=ReturnEnd.STANDS_DISARMED, return_heights=())

@@ -67,7 +67,7 @@ INT32 = 1 << 31
 def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: int | None = None) -> Plan:
     """``estimate_msgid``, of EKF_STATUS_REPORT: an ArduCopter is not armed before its estimator has a position.
 
-    Raises RefusedError in a mode in which arming sets it off: a PX4 stays in AUTO.MISSION when it disarms after a
+    Raises RefusedError in a mode in which arming may set it off: a PX4 stays in AUTO.MISSION when it disarms after a
     mission, and flies the mission again as soon as it is armed."""
     require_connected(vehicle, now)
     able = vehicle.abilities
@@ -75,7 +75,7 @@ def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: in
         moves = "take off" if able.flies else "drive on"
         starts = "mission start" + (", takeoff" if able.takeoff is not TakeOff.NONE else "")
         raise RefusedError(
-            f"it is in {vehicle.mode} and would {moves} at once; set another mode first ({able.stop_mode}), or start "
+            f"it is in {vehicle.mode} and may {moves} at once; set another mode first ({able.stop_mode}), or start "
             f"what it is to do ({starts}); {FORCE_HINT}"
         )
     plan = autopilot.arm(force=force)
@@ -131,13 +131,16 @@ def rtl(vehicle: Vehicle, now: float) -> Plan:
 
 
 def _down_already(order: str, vehicle: Vehicle, now: float) -> Plan | None:
-    """Nothing to do for what is certainly on the ground and disarmed: it would not move, and stay in a mode of its
-    landing or return, in which neither firmware arms. None: it may be under way."""
+    """Nothing to do for what is certainly disarmed, and on the ground if it flies: it would not move, and stay in a
+    mode of its landing or return, in which neither firmware arms. None: it may be under way."""
     state, at = vehicle.landed_state()
     stands = not vehicle.abilities.flies or (state == "on_ground" and now - at <= ORDER_POSITION_S)
     if not stands or why_not_idle(vehicle, now) is not None:
         return None
-    return Plan(order, (), "it is on the ground and disarmed already; nothing was sent", despite_duplicate=True)
+    done = "it is on the ground and disarmed already; nothing was sent"
+    if not vehicle.abilities.flies:
+        done = "it is disarmed and stays where it is; nothing was sent: arm it first"
+    return Plan(order, (), done, despite_duplicate=True)
 
 
 def hold(vehicle: Vehicle, now: float) -> Plan:

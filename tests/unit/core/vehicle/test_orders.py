@@ -155,6 +155,7 @@ def test_a_position_that_is_too_old_is_none() -> None:
 
 
 ROVER = 10
+SUB = 12
 
 
 def test_a_rover_goes_somewhere_without_being_in_the_air() -> None:
@@ -230,7 +231,7 @@ def test_streams_frames_commands_and_messages_are_found_by_name_or_number() -> N
 def test_a_px4_that_would_take_off_when_armed_is_not_armed_by_itself(mode: int) -> None:
     vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
     vehicle.on_frame(voice.beat(PX4, mode), NOW)
-    with pytest.raises(RefusedError, match="would take off at once"):
+    with pytest.raises(RefusedError, match="may take off at once"):
         orders.arm(vehicle, NOW)
     assert orders.arm(vehicle, NOW, force=True).steps
     vehicle.on_frame(voice.beat(PX4, PX4_LOITER), NOW)
@@ -243,13 +244,14 @@ def test_a_px4_that_would_take_off_when_armed_is_not_armed_by_itself(mode: int) 
         (1, 10, 12, "take off"),  # AUTO, LOITER
         (1, 13, 12, "take off"),  # TAKEOFF
         (ROVER, 10, 4, "drive on"),  # AUTO, HOLD
-        (ROVER, 15, 4, "drive on"),  # GUIDED: to the place of its last goto
+        (ROVER, 9, 4, "drive on"),  # CIRCLE: at 4 m/s after 4 s (Rover 4.6.3)
+        (ROVER, 15, 4, "drive on"),  # GUIDED: to the place of its last goto, if it has one
     ],
 )
 def test_an_arming_sets_no_plane_and_no_rover_off_by_itself(kind: int, mode: int, instead: int, moves: str) -> None:
     vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
     vehicle.on_frame(voice.beat(ARDUPILOT, mode, kind=kind), NOW)
-    with pytest.raises(RefusedError, match=f"would {moves} at once; set another mode first .(LOITER|HOLD)."):
+    with pytest.raises(RefusedError, match=f"may {moves} at once; set another mode first .(LOITER|HOLD)."):
         orders.arm(vehicle, NOW)
     assert orders.arm(vehicle, NOW, force=True).steps
     vehicle.on_frame(voice.beat(ARDUPILOT, instead, kind=kind), NOW)
@@ -312,23 +314,27 @@ def test_one_that_is_down_already_is_not_sent_into_a_landing(autopilot: int) -> 
     assert orders.land(vehicle, NOW + 1.0).steps
 
 
-@each(("kind", "land"), [(1, True), (20, True), (ROVER, False)])
+@each(("kind", "land"), [(1, True), (20, True), (ROVER, False), (SUB, True)])
 def test_what_stands_disarmed_is_not_said_to_return(kind: int, land: bool) -> None:
     """ "ok returning to launch; it stops and stays armed" of a Rover that stood disarmed, and then did not arm."""
     vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
     vehicle.on_frame(voice.beat(ARDUPILOT, 0, kind=kind), NOW)
-    if kind != ROVER:
+    done = "it is disarmed and stays where it is; nothing was sent: arm it first"
+    if kind not in (ROVER, SUB):
         assert orders.rtl(vehicle, NOW).steps, "whether it is on the ground is not known"
         vehicle.on_frame(voice.landed(1), NOW)
-    plan = orders.rtl(vehicle, NOW + 1.0)
-    assert plan.steps == () and "on the ground and disarmed already" in plan.done
+        done = "it is on the ground and disarmed already; nothing was sent"
+    if kind != SUB:
+        plan = orders.rtl(vehicle, NOW + 1.0)
+        assert (plan.steps, plan.done) == ((), done)
     if land:
-        assert orders.land(vehicle, NOW + 1.0).steps == ()
+        plan = orders.land(vehicle, NOW + 1.0)
+        assert (plan.steps, plan.done) == ((), done)
     else:
         with pytest.raises(RefusedError, match="does not land"):
             orders.land(vehicle, NOW + 1.0)
     vehicle.on_frame(voice.beat(ARDUPILOT, 4 if kind == ROVER else 12, armed=True, kind=kind), NOW + 1.0)
-    assert orders.rtl(vehicle, NOW + 1.0).steps
+    assert (orders.land if kind == SUB else orders.rtl)(vehicle, NOW + 1.0).steps
 
 
 @each("autopilot", [PX4, ARDUPILOT])
