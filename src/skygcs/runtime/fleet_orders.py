@@ -620,7 +620,7 @@ def _shaped(order: Order, outcome: Outcome) -> Any:
     if order in (onboard_orders.set_fence, onboard_orders.read_fence, onboard_orders.test_fence):
         return FenceOutcome(outcome)
     if order in (onboard_orders.list_logs, onboard_orders.get_logs):
-        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.onboard_logs has imported it
+        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.missions has imported it
 
         return LogsOutcome.without_logs(outcome)
     return outcome

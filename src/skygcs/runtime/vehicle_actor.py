@@ -209,7 +209,7 @@ class VehicleActor:
     def logs(self) -> VehicleLogs:
         """The logs it has on board; made when somebody asks for them."""
         if self._logs is None:
-            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.onboard_logs has imported it
+            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.missions has imported it
 
             self._logs = VehicleLogs(self.vehicle, self.services)
         return self._logs
