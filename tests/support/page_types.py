@@ -21,6 +21,8 @@ ALSO = frozenset({"control.status", "plan.status"})
 
 HEAD = """// Made of the daemon's methods by tests/unit/web/test_page_types.py: not to be edited by hand.
 
+export type NoParams = Readonly<Record<string, never>>;
+
 export type Targets = string | number | readonly (string | number)[];
 """
 
@@ -41,9 +43,7 @@ def page_types(methods: Iterable[Method[Any]]) -> str:
         name = json.dumps(method["name"])
         results.append(f"  {name}: {type_of(method['result']['schema'])};")
         fields = [field(p["name"], p["schema"], p["required"]) for p in method["params"]]
-        params.append(
-            f"  {name}: {{ {'; '.join(fields)} }};" if fields else f"  {name}: Readonly<Record<never, never>>;"
-        )
+        params.append(f"  {name}: {{ {'; '.join(fields)} }};" if fields else f"  {name}: NoParams;")
     reached = _reached(_names(document["methods"]), schemas)
     state_keys = " | ".join(json.dumps(key) for key in ("name", "sysid", *STATE_KEYS))
     parts = [
@@ -52,7 +52,7 @@ def page_types(methods: Iterable[Method[Any]]) -> str:
         "export interface Results {\n" + "\n".join(results) + "\n}\n",
         "export interface Params {\n" + "\n".join(params) + "\n}\n",
     ]
-    _, targets = HEAD.strip().rsplit(" = ", 1)
+    targets = next(line.partition(" = ")[2] for line in HEAD.splitlines() if "type Targets" in line)
     return "\n".join([HEAD, *(part.replace(targets.removesuffix(";"), "Targets") for part in parts)])
 
 

@@ -26,7 +26,7 @@ from skygcs.config.vehicle_tables import MonitorConfig, PreflightSettings, Separ
 from skygcs.core.geo import EAST_DEG, NOWHERE, is_nowhere
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
-from skygcs.tlog.format import speed_problem
+from skygcs.tlog.timeline import speed_problem
 
 Sysid = Annotated[int, Field(ge=1, le=255)]
 Compid = Annotated[int, Field(ge=1, le=255)]

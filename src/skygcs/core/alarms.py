@@ -317,6 +317,19 @@ def event_record(event: Event, unix_s: float, facts: VehicleFacts) -> dict[str, 
     }
 
 
+def with_severity(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the record of another daemon's event with a severity. One of an earlier version has none: it gets that of
+    a vehicle that may be armed. Where its data have another shape it is a warning, so that somebody sees it."""
+    if record.get("severity") in SEVERITIES:
+        return dict(record)
+    try:
+        event = Event(record["kind"], record.get("vehicle"), record.get("sysid"), record["text"], record["data"])
+        severity: Any = severity_of(event, VehicleFacts())
+    except (KeyError, TypeError, AttributeError):
+        severity = None
+    return {**record, "severity": severity if severity in SEVERITIES else "warning"}
+
+
 def as_text(value: Any) -> str:
     """A value of a saved alarm as text, without control characters."""
     return "".join(c for c in str(value) if c.isprintable())[:500]

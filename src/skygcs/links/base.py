@@ -10,8 +10,9 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
+from skygcs.back_off import BackOff
 from skygcs.config.models import LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
@@ -19,16 +20,13 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import SysidTranslator
+from skygcs.errors import LinkError
 from skygcs.events import Event
 from skygcs.links.paced import AirBudget
 from skygcs.links.reading import ReadingTurns
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath, Out, Table
-from typing import Literal
-
-from skygcs.back_off import BackOff
-from skygcs.errors import LinkError
 
 
 class StateUpdate(NamedTuple):

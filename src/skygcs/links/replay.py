@@ -14,8 +14,9 @@ from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.stream import StreamIntake
 from skygcs.tlog.files import WINDOW_BYTES, FileWindow
-from skygcs.tlog.format import Pace, sniff
+from skygcs.tlog.format import sniff
 from skygcs.tlog.reading import LogReader
+from skygcs.tlog.timeline import Pace
 
 RECORDS_PER_TURN = 64
 RAW_BYTES_PER_TURN = 4096

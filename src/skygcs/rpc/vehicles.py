@@ -15,7 +15,7 @@ from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve, state_of
 from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, Targets, TargetsParams
-from skygcs.runtime.onboard_orders import set_home
+from skygcs.runtime.home_orders import set_home
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 StateConfig = ConfigDict(use_attribute_docstrings=True, extra="allow")

@@ -32,9 +32,9 @@ from skygcs.runtime.components import Components
 from skygcs.runtime.fleet_orders import Actor, FleetOrders
 from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.flight_notes import FlightJournal, FlightNotes
+from skygcs.runtime.home_orders import WorldFrame
 from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
 from skygcs.runtime.mission_turns import MissionTurns
-from skygcs.runtime.onboard_orders import UndoOrders, WorldFrame
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.preflight_run import Unheard, examine_all
@@ -43,6 +43,7 @@ from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
+from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import (
     MAX_VEHICLES,

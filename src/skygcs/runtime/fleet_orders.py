@@ -23,7 +23,7 @@ from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime import onboard_orders
+from skygcs.runtime import home_orders, onboard_orders
 from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.fence_orders import FenceOutcome
@@ -37,7 +37,7 @@ from skygcs.runtime.vehicle_services import VehicleServices
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
 """An order is the method of VehicleActor that carries it out, `VehicleActor.arm`, or a function of
-`runtime.onboard_orders` or `runtime.onboard_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
+`runtime.onboard_orders` or `runtime.home_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
 those of the onboard logs a LogsOutcome."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
@@ -273,10 +273,10 @@ class FleetOrders:
         force: bool = False,
         reports: Reports | None = None,
     ) -> dict[str, Outcome]:
-        """Send the origin to each vehicle; see `onboard_orders.push_origin`. Raises RefusedError, TargetError."""
+        """Send the origin to each vehicle; see `home_orders.push_origin`. Raises RefusedError, TargetError."""
         if self._targets.origin is None:
             raise RefusedError("there is no origin to send; set one first")
-        order = onboard_orders.push_origin
+        order = home_orders.push_origin
         return await self.command_all(expression, order, self._targets.origin, reports=reports, home=home, force=force)
 
     def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
@@ -620,7 +620,7 @@ def _shaped(order: Order, outcome: Outcome) -> Any:
     if order in (onboard_orders.set_fence, onboard_orders.read_fence, onboard_orders.test_fence):
         return FenceOutcome(outcome)
     if order in (onboard_orders.list_logs, onboard_orders.get_logs):
-        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.onboard_logs has imported it
+        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.missions has imported it
 
         return LogsOutcome.without_logs(outcome)
     return outcome

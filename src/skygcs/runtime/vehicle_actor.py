@@ -71,7 +71,7 @@ ENTRY_ENDED = "no order reaches it by this entry any more; if it is heard again,
 
 class VehicleActor:
     """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders; further
-    ones are in `runtime.onboard_orders` and `runtime.onboard_orders`.
+    ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
     ``params``, ``metadata`` (of parameters), ``missions``, ``logs`` (those it has on board), ``fence``, ``preflight``,
@@ -209,7 +209,7 @@ class VehicleActor:
     def logs(self) -> VehicleLogs:
         """The logs it has on board; made when somebody asks for them."""
         if self._logs is None:
-            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.onboard_logs has imported it
+            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.missions has imported it
 
             self._logs = VehicleLogs(self.vehicle, self.services)
         return self._logs

@@ -37,9 +37,11 @@ from collections.abc import Coroutine
 from typing import Any, Protocol
 
 import structlog
+from pydantic_core import from_json, to_json
 
 from skygcs.back_off import BackOff
 from skygcs.config.station_path import station_socket
+from skygcs.core.alarms import with_severity
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, connect
@@ -199,11 +201,12 @@ class DaemonConnection:
             raise RpcError(LIMIT_EXCEEDED, text)
         self._waiting += counted
         try:
-            return await client.relay(method, params, due_s, on_report)
+            answer = await client.relay(method, params, due_s, on_report)
         except ValueError as error:  # 1e999 is read as infinite, which JSON cannot carry on
             raise RpcError(INVALID_PARAMS, f"{method}: {error}") from None
         finally:
             self._waiting -= counted
+        return to_json([with_severity(event) for event in from_json(answer)]) if method == "events.recent" else answer
 
     def operator_active(self) -> None:
         """A person used a page that may give orders."""
@@ -382,7 +385,7 @@ class DaemonConnection:
             if event.get("kind") == "vehicle_forgotten" and event.get("vehicle"):
                 self._states.remove(event["vehicle"])
                 pages.on_states()
-            pages.on_event(event)
+            pages.on_event(with_severity(event))
 
     async def _feed_plan(self, plans: Subscription, pages: Pages) -> None:
         async for plan in plans:

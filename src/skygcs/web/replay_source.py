@@ -133,9 +133,11 @@ class Recording:
             del self.checkpoints[1::2]
             self._spacing_s *= 2
 
-    def record(self, event: Event, at_s: float) -> dict[str, Any]:
-        """An event as pages get it."""
-        return event_record(event, (self.start_unix_s or 0.0) + at_s, VehicleFacts())
+    def record(self, event: Event, at_s: float, fleet: ReplayFleet) -> dict[str, Any]:
+        """An event as pages get it. ``fleet``: at that time."""
+        vehicle = None if event.vehicle is None else fleet.find(event.vehicle)
+        facts = VehicleFacts(None if vehicle is None else vehicle.armed)
+        return event_record(event, (self.start_unix_s or 0.0) + at_s, facts)
 
     def close(self) -> None:
         self._file.close()
@@ -291,7 +293,7 @@ class ReplaySource:
                 if entry.at_s - ticked_s >= TICK_S:
                     ticked_s = entry.at_s
                     events += fleet.tick(entry.at_s)
-                recording.events.extend((entry.at_s, recording.record(event, entry.at_s)) for event in events)
+                recording.events.extend((entry.at_s, recording.record(event, entry.at_s, fleet)) for event in events)
                 recording.duration_s = max(recording.duration_s, entry.at_s)
             if self.loop.time() > slice_ends:
                 await asyncio.sleep(0.001)
@@ -373,7 +375,7 @@ class ReplaySource:
     def _tell(self, events: Any, at_s: float, pages: Pages | None) -> None:
         if pages is not None:
             for event in events:
-                pages.on_event(self.recording.record(event, at_s))
+                pages.on_event(self.recording.record(event, at_s, self.fleet))
 
     def _publish(self, pages: PageClients) -> None:
         """States also while it stands still: the pages let ages grow by themselves."""

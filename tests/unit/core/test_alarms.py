@@ -13,12 +13,14 @@ from skygcs.core.alarms import (
     CONSEQUENCES,
     MAX_ALARMS,
     RULES,
+    SEVERITIES,
     Alarms,
     Signal,
     VehicleFacts,
     battery,
     severity_of,
     signals,
+    with_severity,
 )
 from skygcs.events import Event
 from skygcs.rpc.client import EVENT_KINDS
@@ -252,3 +254,10 @@ def test_what_ends_an_alarm_is_no_alarm(kind: str) -> None:
     begun, ended = CASES[kind]
     assert severity_of(begun, FLYING) == next(s.severity for s in signals(begun, FLYING) if s.raised)
     assert ended is None or severity_of(ended, FLYING) == "info"
+
+
+@each("data", [{"outcome": "none"}, {"order": {}}, {"result": [], "ok": 1}, None, "text", {"level": {}}])
+def test_a_record_of_another_daemon_with_any_data_has_a_severity(data: Any) -> None:
+    for kind in [*RULES, "alarm", "recorder"]:
+        record = {"kind": kind, "vehicle": "a", "sysid": 1, "text": "text", "data": data}
+        assert with_severity(record)["severity"] in SEVERITIES

@@ -14,7 +14,8 @@ from skygcs.errors import LinkError
 from skygcs.links.base import LinkSupervisor
 from skygcs.links.replay import LOOKS_PER_TURN, ReplayLink
 from skygcs.tlog.files import FileWindow
-from skygcs.tlog.format import LONGEST_GAP_S, encode_record
+from skygcs.tlog.format import encode_record
+from skygcs.tlog.timeline import LONGEST_GAP_S
 from support.hosts import RecordingHost, heartbeat, open_descriptors, text
 
 pytestmark = pytest.mark.looptime

@@ -13,7 +13,7 @@ from skygcs.core.vehicle.orders import Where
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.rpc import dispatch
 from skygcs.rpc.client import Client
-from skygcs.runtime import onboard_orders
+from skygcs.runtime import home_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.extension_parts import ALL_METHODS
 from support.fake_daemon import FakeDaemon
@@ -93,7 +93,7 @@ ORDERS = {
     "stop": VehicleActor.stop,
     "goto": VehicleActor.goto,
     "reboot": VehicleActor.reboot,
-    "set_home": onboard_orders.set_home,
+    "set_home": home_orders.set_home,
     "interval": VehicleActor.set_message_interval,
     "request": VehicleActor.request_message,
     "stream": VehicleActor.request_stream,

@@ -10,7 +10,7 @@ import pytest
 
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.protocols.command import Outcome
-from skygcs.runtime import onboard_orders
+from skygcs.runtime import home_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.sim_field import SimField
 from support.vehicles import HOME
@@ -187,7 +187,7 @@ async def test_modes_home_intervals_and_single_messages_work_on_both() -> None:
             outcome = await actor.set_mode(mode)
             assert outcome.ok, outcome.message
             assert actor.vehicle.mode == mode
-        assert done(await fleet.orders.command_all("all", onboard_orders.set_home))
+        assert done(await fleet.orders.command_all("all", home_orders.set_home))
         assert done(await fleet.orders.command_all("all", VehicleActor.set_message_interval, "ATTITUDE", 10.0))
         await asyncio.sleep(10)
         for actor in fleet.resolve("all"):

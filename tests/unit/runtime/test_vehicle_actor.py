@@ -12,7 +12,7 @@ from skygcs.core.mission.item import MissionType
 from skygcs.core.protocols.command import RETRY_TIMERS_S, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S, is_being_armed
-from skygcs.runtime import onboard_orders
+from skygcs.runtime import home_orders
 from skygcs.runtime.task_set import ORDER_SERIAL, OWN, TaskSet, ask
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.vehicles import (
@@ -113,7 +113,7 @@ async def test_what_is_not_done_says_why_and_ends_there() -> None:
             *(PX4, denying, lambda a: a.request_message("EKF_STATUS_REPORT")),
             *("denied: PX4 does not send EKF_STATUS_REPORT on request", [512]),
         ),
-        (PX4, denying, onboard_orders.set_home, "denied: PX4 gave no reason (set home)", [179]),
+        (PX4, denying, home_orders.set_home, "denied: PX4 gave no reason (set home)", [179]),
         (PX4, denying, lambda a: a.takeoff(5), "arm: denied: PX4 gave no reason (arm)", [ARM]),
     ]
     for autopilot, script, order, said, commands in rows:
@@ -318,10 +318,10 @@ async def test_what_cannot_be_meant_on_the_ground_is_refused_and_nothing_is_sent
             (actor.command(183, [], x=1), ""),
             (actor.command(183, [1e300]), "param1"),
             (actor.command(183, [], int_frame=0, x=1 << 31), "32 bits"),
-            (onboard_orders.set_home(actor, lat_deg=HOME[0]), ""),
-            (onboard_orders.set_home(actor, lat_deg=0.0, lon_deg=0.0, alt_amsl_m=1.0), ""),
-            (onboard_orders.set_home(actor, **far), "it would return there"),
-            (onboard_orders.set_home(actor, **far), "--force"),
+            (home_orders.set_home(actor, lat_deg=HOME[0]), ""),
+            (home_orders.set_home(actor, lat_deg=0.0, lon_deg=0.0, alt_amsl_m=1.0), ""),
+            (home_orders.set_home(actor, **far), "it would return there"),
+            (home_orders.set_home(actor, **far), "--force"),
             (actor.goto(**NEAR), "disarmed"),
         ):
             outcome = await order
@@ -330,7 +330,7 @@ async def test_what_cannot_be_meant_on_the_ground_is_refused_and_nothing_is_sent
         await asyncio.sleep(1.5)
         assert "on the ground" in (await actor.goto(**NEAR)).message
         assert vehicle.got == []
-        assert (await onboard_orders.set_home(actor, **far, force=True)).ok
+        assert (await home_orders.set_home(actor, **far, force=True)).ok
 
 
 async def test_px4_takes_off_to_an_amsl_altitude_after_leaving_a_manual_mode_and_keeps_loiter() -> None:
@@ -440,13 +440,13 @@ async def test_what_cannot_be_meant_in_the_air_is_refused_and_nothing_is_sent() 
             (actor.takeoff(5), "in the air already"),
             (actor.disarm(), "--force"),
             (actor.reboot(), "--force"),
-            *((onboard_orders.set_home(actor, **place), "in the air") for place in ({}, far | {"lat_deg": HOME[0]})),
-            (onboard_orders.set_home(actor), "--force"),
+            *((home_orders.set_home(actor, **place), "in the air") for place in ({}, far | {"lat_deg": HOME[0]})),
+            (home_orders.set_home(actor), "--force"),
         ):
             outcome = await order
             assert outcome.result == "refused" and said in outcome.message, (said, outcome)
         assert vehicle.got == []
-        assert (await onboard_orders.set_home(actor, force=True)).ok
+        assert (await home_orders.set_home(actor, force=True)).ok
         assert (await actor.goto(**far, force=True)).ok, "force overrides the distance"
 
 
@@ -936,15 +936,15 @@ async def test_a_reboot_whose_ack_was_lost_is_known_by_the_reboot_itself(ground:
     outcome = await actor.reboot()
     assert outcome.ok, outcome.message
     await asyncio.sleep(10)
-    outcome = await onboard_orders.set_home(actor)
+    outcome = await home_orders.set_home(actor)
     assert (outcome.result, outcome.message) == ("lost", "the vehicle rebooted")
 
 
 async def test_home_is_set_here_or_at_a_place(ground: Ground) -> None:
     vehicle, actor = await one(ground)
-    assert (await onboard_orders.set_home(actor)).ok
+    assert (await home_orders.set_home(actor)).ok
     assert (vehicle.got[0].name, vehicle.got[0].command, vehicle.got[0].param1) == ("COMMAND_LONG", 179, 1.0)
-    assert (await onboard_orders.set_home(actor, lat_deg=HOME[0], lon_deg=HOME[1])).ok
+    assert (await home_orders.set_home(actor, lat_deg=HOME[0], lon_deg=HOME[1])).ok
     assert (vehicle.got[1].name, vehicle.got[1].x, vehicle.got[1].frame) == ("COMMAND_INT", 473977420, 0)
     assert vehicle.got[1].z == pytest.approx(HOME[2])
 

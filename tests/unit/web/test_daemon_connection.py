@@ -8,7 +8,8 @@ import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from structlog.testing import capture_logs
@@ -314,3 +315,20 @@ async def test_what_cannot_be_carried_on_is_refused_and_nothing_waits_for_it(tmp
                 assert refused.value.code == INVALID_PARAMS
         assert connection._waiting == 0 and connection.connected
         assert not daemon.asked("vehicles.takeoff")
+
+
+async def test_events_of_an_earlier_daemon_get_a_severity() -> None:
+    event = {"time_unix_s": 1.0, "kind": "failsafe", "vehicle": "alpha", "sysid": 1, "text": "low", "data": {}}
+    shown: list[dict[str, Any]] = []
+
+    async def events() -> AsyncIterator[dict[str, Any]]:
+        yield event
+
+    async def relay(*_: Any) -> bytes:
+        return json.dumps([event, {**event, "severity": "warning"}]).encode()
+
+    connection = DaemonConnection("nowhere", None, LatestStates())
+    connection.connected, connection._clients = True, cast(Any, {"reads": SimpleNamespace(relay=relay)})
+    await connection._feed_events(cast(Any, events()), cast(Any, SimpleNamespace(on_event=shown.append)))
+    recent = json.loads(await connection.call("events.recent", {}))
+    assert [one["severity"] for one in [*shown, *recent]] == ["alarm", "alarm", "warning"]

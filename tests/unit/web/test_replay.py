@@ -7,12 +7,14 @@ import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from skygcs.config.dialects import load_dialect
 from skygcs.errors import RpcError, SkygcsError
+from skygcs.events import Event
 from skygcs.web import replay_source
 from skygcs.web.page_clients import PageClient, PageClients
 from skygcs.web.replay_fleet import ReplayFleet
@@ -196,3 +198,15 @@ async def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "none.tlog", ROOT / "README.md", Path("/dev/zero")):
         with pytest.raises(SkygcsError):
             ReplaySource(path, DIALECT, LatestStates())
+
+
+@each("armed, severity", [(True, "alarm"), (False, "warning"), (None, "alarm")])
+async def test_an_event_is_as_serious_as_it_was_then(armed: bool | None, severity: str) -> None:
+    recording = Recording(public_file(FLIGHT), DIALECT)
+    fleet: Any = SimpleNamespace(find=lambda name: SimpleNamespace(armed=armed) if name == "alpha" else None)
+    try:
+        lost = Event("vehicle_lost", "alpha", 1, "lost", {})
+        assert recording.record(lost, 1.0, fleet)["severity"] == severity
+        assert recording.record(Event("vehicle_lost", None, None, "lost", {}), 1.0, fleet)["severity"] == "alarm"
+    finally:
+        recording.close()

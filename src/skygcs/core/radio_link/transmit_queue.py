@@ -1,6 +1,6 @@
 """Queue of what waits to be sent on one link, in which order and how fast: strict classes, vehicles share a class
-equally, every class with a bound and a policy, all of it within a budget of bytes. It is
-received bytes, or a message of our own.
+equally, every class with a bound and a policy, all of it within a budget of bytes. What
+waits is received bytes (`Outgoing`), or a message of our own (`OwnMessage`).
 
 Pure: the sender (shell) offers, asks when the next may go and what it is, and writes. How large the budget is decides
 `core.radio_link.pacing`.

@@ -29,8 +29,8 @@ from skygcs.ext.logs.player import play_log
 from skygcs.ext.logs.table_files import write_tables
 from skygcs.terminal_text import visible
 from skygcs.tlog.files import KIND_NAMES, opened_log
-from skygcs.tlog.format import speed_problem
 from skygcs.tlog.selection import Selection, SourceFilter
+from skygcs.tlog.timeline import speed_problem
 
 tlog = typer.Typer(help="Recorded flights: tlog files and raw captures.", no_args_is_help=True)
 

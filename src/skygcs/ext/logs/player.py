@@ -13,8 +13,9 @@ from typing import Any
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
 from skygcs.tlog.files import LogFile, note, opened_log
-from skygcs.tlog.format import LogEntry, Pace
+from skygcs.tlog.format import LogEntry
 from skygcs.tlog.selection import ReportFilter, Selection
+from skygcs.tlog.timeline import Pace
 
 AT_ONCE = 32
 """At full speed, frames between two pauses: 2 kB, which fits a receiver's socket buffer (Linux: 212 kB by default)."""

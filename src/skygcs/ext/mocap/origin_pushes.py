@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.origin import ORIGIN_MESSAGE
-from skygcs.runtime.onboard_orders import push_origin
+from skygcs.runtime.home_orders import push_origin
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent

@@ -7,8 +7,9 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.tlog.format import LONGEST_GAP_S, REORDERED_S, LogEntry, LogKind, Pace, Timeline, encode_record
+from skygcs.tlog.format import LogEntry, LogKind, encode_record
 from skygcs.tlog.reading import LogReader
+from skygcs.tlog.timeline import LONGEST_GAP_S, REORDERED_S, Pace, Timeline
 from support.examples import thinned
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame

@@ -19,7 +19,7 @@ from typing import Any
 import structlog
 from pydantic_core import from_json, to_json
 
-from skygcs.core.alarms import SEVERITIES
+from skygcs.core.alarms import with_severity
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import BusError
 from skygcs.ext.federation.bridge.bus import Bus, Message
@@ -184,8 +184,7 @@ class Readers:
         if sender.event_run == run and seq > sender.event_seq + 1:
             self.counters["events_lost"] += seq - sender.event_seq - 1
         sender.event_run, sender.event_seq = run, seq
-        if event.get("severity") not in SEVERITIES:  # of an earlier version
-            event["severity"] = "info"
+        event = with_severity(event)
         self.recent.append({**event, "site": site})
         for observe in self.on_event:
             observe(site, event)

@@ -104,8 +104,8 @@ function batteryCell(v: Vehicle, now_s: number): Cell {
 
 function gpsCell(v: Vehicle, now_s: number): Cell {
   if (v.gps === null) return UNKNOWN;
-  const text = [v.gps.fix?.toUpperCase(), v.gps.satellites === null ? null : `${v.gps.satellites} sat`].filter(Boolean).join("  ");
-  return aged(v, v.gps, now_s, text, (v.gps.fix_type ?? 3) < 3 ? "warning" : "");
+  const text = [v.gps.fix.toUpperCase(), v.gps.satellites === null ? null : `${v.gps.satellites} sat`].filter(Boolean).join("  ");
+  return aged(v, v.gps, now_s, text, v.gps.fix_type < 3 ? "warning" : "");
 }
 
 function bestLink(v: Vehicle): { name: string; loss: number | null } | null {

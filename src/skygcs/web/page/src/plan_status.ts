@@ -20,7 +20,7 @@ export function planText(status: PlanStatus): string {
   const words = state.replaceAll("_", " ");
   if (DONE.has(state)) return words;
   const where = phase === null || phase === "" ? "" : `, ${phase}`;
-  const which = step !== null && steps !== null && steps > 0 ? ` (step ${step} of ${steps})` : "";
+  const which = steps > 0 ? ` (step ${step} of ${steps})` : "";
   const left = clock?.finishes_in_s == null ? "" : `, ${clock.finishes_in_s.toFixed(0)} s left`;
   return words + where + which + left;
 }

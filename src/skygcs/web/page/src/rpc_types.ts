@@ -1,5 +1,7 @@
 // Made of the daemon's methods by tests/unit/web/test_page_types.py: not to be edited by hand.
 
+export type NoParams = Readonly<Record<string, never>>;
+
 export type Targets = string | number | readonly (string | number)[];
 
 export interface Acknowledged {
@@ -929,58 +931,58 @@ export interface Results {
 
 export interface Params {
   "alarms.acknowledge": { by: string; numbers?: readonly number[] | null };
-  "alarms.list": Readonly<Record<never, never>>;
+  "alarms.list": NoParams;
   "control.gains": { targets: Targets; xy?: AxisChange | null; z?: AxisChange | null; hover_thrust?: number | null; force?: boolean };
   "control.set": { targets: Targets; mode: "off" | "position" | "velocity" | "attitude" | "raw"; force?: boolean };
   "control.status": { targets?: Targets };
-  "corrections.status": Readonly<Record<never, never>>;
+  "corrections.status": NoParams;
   "drills.begin": { targets: Targets; fault: "deaf" | "link" | "gps" | "battery" | "wind"; value?: number | null };
   "drills.end": { targets: Targets; fault?: "deaf" | "link" | "gps" | "battery" | "wind" | null };
-  "drills.status": Readonly<Record<never, never>>;
+  "drills.status": NoParams;
   "events.recent": { limit?: number };
   "fence.set": { targets: Targets; radius_m?: number | null; height_m?: number | null; action?: "none" | "warn" | "hold" | "return" | "land" | "terminate" | null; force?: boolean };
   "fence.status": { targets?: Targets };
   "formation.move": { to_enu_m?: readonly [number, number, number] | null; vel_enu_mps?: readonly [number, number, number] | null; speed_mps?: number | null; valid_s?: number };
   "formation.scale": { factor: number };
   "formation.start": { targets: Targets; shape?: "current" | "line" | "column" | "v" | "circle" | "grid"; spacing_m?: number; heading_deg?: number | null; leader?: string | null; at_enu_m?: readonly [number, number, number] | null };
-  "formation.status": Readonly<Record<never, never>>;
-  "formation.stop": Readonly<Record<never, never>>;
+  "formation.status": NoParams;
+  "formation.stop": NoParams;
   "formation.turn": { heading_deg: number };
-  "link.status": Readonly<Record<never, never>>;
-  "links.list": Readonly<Record<never, never>>;
+  "link.status": NoParams;
+  "links.list": NoParams;
   "messages.latest": { target: string | number; name: string | number };
   "missions.clear": { targets: Targets; lists?: readonly ("mission" | "fence" | "rally")[]; force?: boolean };
   "missions.download": { target: string | number; lists?: readonly ("mission" | "fence" | "rally")[] };
-  "missions.end_turns": Readonly<Record<never, never>>;
+  "missions.end_turns": NoParams;
   "missions.pause": { targets: Targets };
   "missions.resume": { targets: Targets; force?: boolean };
   "missions.set_current": { targets: Targets; item: number; force?: boolean };
   "missions.start": { targets: Targets; first?: number; arm?: boolean; one_after_another?: boolean; force?: boolean };
   "missions.status": { targets?: Targets };
   "missions.upload": { targets: Targets; plan: string; name?: string; lists?: readonly ("mission" | "fence" | "rally")[] | null; arrangement?: ArrangementParams | null; force?: boolean };
-  "operator.active": Readonly<Record<never, never>>;
+  "operator.active": NoParams;
   "origin.from_vehicle": { target: string | number; heading?: boolean; force?: boolean };
-  "origin.get": Readonly<Record<never, never>>;
+  "origin.get": NoParams;
   "origin.set": { lat_deg: number; lon_deg: number; alt_amsl_m: number; x_heading_deg?: number | null; force?: boolean };
   "params.cancel": { targets: Targets };
   "params.list": { targets: Targets; refresh?: boolean; burst?: boolean; bytes_per_s?: number | null; values?: boolean };
   "params.metadata": { targets: Targets; names: readonly string[]; read?: boolean };
   "params.set": { targets: Targets; params: Readonly<Record<string, number>>; settle?: boolean; force?: boolean };
   "params.status": { targets: Targets };
-  "plan.abort": Readonly<Record<never, never>>;
+  "plan.abort": NoParams;
   "plan.check": { plan?: string | null; vehicles?: Readonly<Record<string, string | number>> | null; mode?: "position" | "velocity" | "attitude"; speed?: number; margin_m?: number | null; force?: boolean; by?: "auto" | "goto" | "setpoints" | "onboard" | "mission" };
   "plan.land": { force?: boolean };
   "plan.load": { plan?: Readonly<Record<string, unknown>> | null; name?: string; upload?: number | null };
-  "plan.pause": Readonly<Record<never, never>>;
+  "plan.pause": NoParams;
   "plan.resume": { force?: boolean };
   "plan.run": { plan?: string | null; vehicles?: Readonly<Record<string, string | number>> | null; mode?: "position" | "velocity" | "attitude"; speed?: number; margin_m?: number | null; force?: boolean; by?: "auto" | "goto" | "setpoints" | "onboard" | "mission"; set_return_heights?: boolean };
   "plan.speed": { speed: number };
-  "plan.status": Readonly<Record<never, never>>;
+  "plan.status": NoParams;
   "plan.upload": { part: string; upload?: number | null };
   "preflight.run": { targets: Targets; fix?: boolean; confirmed?: Readonly<Record<string, Readonly<Record<string, number>>>> | null };
   "preflight.status": { targets: Targets };
-  "recordings.end": Readonly<Record<never, never>>;
-  "recordings.list": Readonly<Record<never, never>>;
+  "recordings.end": NoParams;
+  "recordings.list": NoParams;
   "recordings.replay": { name: string };
   "trajectory.abort": { targets: Targets };
   "trajectory.load": { target: string | number; pieces: readonly PieceParams[]; name?: string };

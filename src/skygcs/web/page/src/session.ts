@@ -45,7 +45,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
   async function fetchEvents(): Promise<void> {
     const askedAfter = store.state.eventsSeen;
     const events = await connection.call("events.recent", { limit: RECENT_EVENTS });
-    store.dispatch({ type: "recentEvents", events: events.filter((event) => event.kind !== ALARM), askedAfter });
+    store.dispatch({ type: "recentEvents", events: events.filter(isNews), askedAfter });
   }
 
   /** A change of the alarms is an event; of several at once one question is enough. */
@@ -119,7 +119,7 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     connection.on<PlanStatus>("web.plan", (plan) => store.dispatch({ type: "plan", plan })),
     connection.on<{ event: FleetEvent }>("event", ({ event }) => {
       if (event.kind === ALARM) fetchAlarms().catch(ignore);
-      else store.dispatch({ type: "event", event });
+      if (isNews(event)) store.dispatch({ type: "event", event });
       if (event.kind === ORIGIN && event.data["generation"] !== store.state.originGeneration) {
         store.dispatch({ type: "originChanged" });
         void followOrigin();
@@ -133,6 +133,11 @@ export function beginSession(connection: Connection, store: Store, nowMs: () => 
     for (const each of undo) each();
     connection.end();
   };
+}
+
+/** An alarm that no other event reports, say of a battery, is one; any other change of the alarms is in their list only. */
+function isNews({ kind, severity }: FleetEvent): boolean {
+  return kind !== ALARM || severity !== "info";
 }
 
 /** A request failed with its connection: the next connection begins anew. */

@@ -139,3 +139,12 @@ test("a first question that was refused is repeated", () =>
     await pass(1_000);
     assert.deepEqual([store.state.origin, frameIsKnown(store.state)], [NEW, true]);
   }));
+
+test("an alarm that no other event reports is an event, and any other change of the alarms is none", () =>
+  session(async (station, store) => {
+    const alarm = { time_unix_s: 1, kind: "alarm", vehicle: "a", sysid: null, severity: "alarm", text: "battery 10 %", data: {} };
+    station.say("event", { event: alarm });
+    station.say("event", { event: { ...alarm, severity: "info", text: "battery is over" } });
+    await settle();
+    assert.deepEqual(store.state.events.map(({ text }) => text), ["battery 10 %"]);
+  }));

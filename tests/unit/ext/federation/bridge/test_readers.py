@@ -36,6 +36,16 @@ def test_an_event_that_no_client_could_show_is_left_out() -> None:
     assert readers.counters["events_lost"] == 2
 
 
+def test_an_event_of_an_earlier_version_is_as_serious_as_it_is_here() -> None:
+    bus: Any = None
+    readers = Readers(bus, RemoteSites("north", "mine"), SiteClock(), own_site="north")
+    readers._on_event(sent(1))
+    readers._on_event(sent(2, kind="vehicle_lost"))
+    readers._on_event(sent(3, kind="vehicle_lost", severity="warning"))
+    readers._on_event(sent(4, kind="alarm", data={"change": "raised", "severity": {}}))
+    assert [event["severity"] for event in readers.recent] == ["info", "alarm", "warning", "warning"]
+
+
 def test_texts_and_numbers_of_an_event_can_be_shown() -> None:
     bus: Any = None
     readers = Readers(bus, RemoteSites("north", "mine"), SiteClock(), own_site="north")

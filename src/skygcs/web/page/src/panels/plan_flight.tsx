@@ -43,7 +43,7 @@ function StatusView({ status }: { status: PlanStatus }) {
   return (
     <>
       <p><b>{status.name ?? "plan"}</b>: {planText(status)}</p>
-      {status.reason !== null && status.reason !== "" && <p class={FAILED.has(status.state) ? "failure" : "muted"}>{status.reason}</p>}
+      {status.reason !== "" && <p class={FAILED.has(status.state) ? "failure" : "muted"}>{status.reason}</p>}
       {status.waits_for.length > 0 && <p class="muted">Waits for {namesText(status.waits_for)}.</p>}
       {status.vehicles.length > 0 && !AT_REST.has(status.state) && (
         <PlainTable rows={status.vehicles} keyOf={(one) => one.vehicle} row={(one) => ({ class: one.left === null ? "" : "lost" })} columns={[
