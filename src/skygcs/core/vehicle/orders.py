@@ -523,6 +523,8 @@ def _require_within(what: str, value: float, most: float) -> None:
         raise RefusedError(f"{what} of {value:g} is not between {-most:g} and {most:g}")
 
 
+# --- reasons for a refusal --------------------------------------------------------------------------------------------
+
 LASTING_REASONS: tuple[tuple[str, str], ...] = (
     (r"mode not armable", "set another mode first: skygcs-cli mode {name} GUIDED (a rover: HOLD)"),
     (r"switch to manual mode first", "set another mode first: skygcs-cli mode {name} AUTO.LOITER"),
@@ -576,6 +578,8 @@ def todo_in_mode(family: str, mode: str, name: str) -> str | None:
         return None
     return f"{why}; set another mode first: skygcs-cli mode {name} AUTO.LOITER"
 
+
+# --- the emergency stop -----------------------------------------------------------------------------------------------
 
 Action = Literal["hold", "land", "kill"]
 
