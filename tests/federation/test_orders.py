@@ -208,7 +208,7 @@ async def test_the_command_line_gives_orders_to_other_sites(hub: Hub, tmp_path: 
         code, text = await typed(c, "stop", "south/all", "kill")
         assert code == 1 and "kill-2" in text
         code, text = await typed(c, "stop", "*/all", "kill", "--confirm", "kill-2")
-        assert code == 0 and "south/bravo" in text
+        assert code == 0 and "south/bravo" in text, text
         code, text = await typed(c, "federation", "outcome", f"south/{'0' * 32}")
         assert code == 1 and "never came" in text
 

@@ -19,6 +19,8 @@ from typing import Any
 
 import structlog
 
+import skygcs
+
 FLEET = """
 [daemon]
 socket = "{folder}/s"
@@ -37,6 +39,9 @@ sysid = 1
 sysid = 2
 """
 
+OURS = f"{Path(skygcs.__file__).parent}/"
+"""Not every path with our name in it: that of a clone in a folder `skygcs` has it, too."""
+
 TRIES = 5
 """Orders, until the frame of one was sent at once."""
 
@@ -54,8 +59,8 @@ def calls_above(frame: FrameType | None) -> list[Call]:
     found = []
     while frame is not None:
         code = frame.f_code
-        if "/skygcs/" in code.co_filename:
-            found.append((code.co_filename.rpartition("/skygcs/")[2], code.co_qualname))
+        if code.co_filename.startswith(OURS):
+            found.append((code.co_filename.removeprefix(OURS), code.co_qualname))
         frame = frame.f_back
     return found[::-1]
 
@@ -109,12 +114,17 @@ async def measured(folder: Path) -> dict[str, Any]:
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     found: dict[str, Any] = {"files": ours()}
-    await _arm(daemon, folder, port, tracer)
-    found |= {"files_after_order": ours(), "calls": tracer.way, "call_files": sorted({file for file, _ in tracer.way})}
-    daemon.stop()
-    await running
-    asyncio.get_running_loop().set_task_factory(None)
-    return found
+    try:
+        await _arm(daemon, folder, port, tracer)
+    finally:
+        daemon.stop()
+        await running
+        asyncio.get_running_loop().set_task_factory(None)
+    return found | {
+        "files_after_order": ours(),
+        "calls": tracer.way,
+        "call_files": sorted({file for file, _ in tracer.way}),
+    }
 
 
 async def _arm(daemon: Any, folder: Path, port: int, tracer: Tracer) -> None:
