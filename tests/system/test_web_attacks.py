@@ -10,7 +10,8 @@ import signal
 import socket
 import ssl
 import subprocess
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from skygcs.errors import SkygcsError
 from skygcs.web.browser_connections import MAX_CONNECTIONS
 from skygcs.web.control_socket import ask_for_link, find_control
 from support.hanging import HANG_S
+from support.hub import until
 from support.needed import needs
 from support.process import free_port, wait_until
 from support.web_page import WebPage, page_of, raw, status
@@ -307,8 +309,18 @@ def tls_web(tmp_path_factory: pytest.TempPathFactory, certificate: tuple[Path, P
         web.close()
 
 
-async def test_over_tls_a_page_signs_in_with_a_secure_cookie_and_has_a_websocket(tls_web: TlsWeb) -> None:
+@asynccontextmanager
+async def client() -> AsyncIterator[aiohttp.ClientSession]:
+    """A browser's session. At its end all its connections are closed: aiohttp does not wait for the server's end of
+    TLS, and a loop that ends before leaves sockets open."""
+    before = len(os.listdir("/proc/self/fd"))
     async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
+        yield session
+    await until(lambda: len(os.listdir("/proc/self/fd")) <= before, "its connections are closed")
+
+
+async def test_over_tls_a_page_signs_in_with_a_secure_cookie_and_has_a_websocket(tls_web: TlsWeb) -> None:
+    async with client() as session:
         context = tls_web.context()
         async with session.get(tls_web.base, ssl=context) as answer:
             assert answer.status == 403
@@ -361,7 +373,7 @@ def test_without_tls_or_with_an_old_one_nothing_is_served(tls_web: TlsWeb) -> No
 async def test_connections_that_never_begin_their_handshake_are_bounded_and_keep_nobody_out(tls_web: TlsWeb) -> None:
     """They hold a descriptor each, and come to no code of HTTP that could count them."""
     context, opened = tls_web.context(), []
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
+    async with client() as session:
         async with session.get(tls_web.address(), ssl=context, allow_redirects=False) as answer:
             assert answer.status == 303
         ws = await session.ws_connect(f"{tls_web.base}/ws", ssl=context, origin=tls_web.base)
