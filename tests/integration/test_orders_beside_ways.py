@@ -177,7 +177,7 @@ NOT_REFUSED: dict[tuple[str, str], str] = {
     ("vehicles.rtl", "on_mission"): "accepted: returning",  # looked at for 10 s: a mission takes minutes
     **{(method, "in_formation"): ITSELF for method in ORDERS if method != "plan.run"},
 }
-"""What is said where an order is not refused for v2; `ITSELF`: nothing is promised."""
+"""The answer to an order that v2 is no reason to refuse; `ITSELF`: nothing is promised."""
 
 ELSEWHERE: dict[str, tuple[str, ...]] = {
     "never refused, or nothing flies on by it": (

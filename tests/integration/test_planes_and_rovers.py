@@ -79,14 +79,20 @@ async def test_a_rover_goes_holds_where_it_stops_and_returns(tmp_path: Path) -> 
         assert not rover.armed
 
 
+async def disarmed_on_its_way(gcs: Flown) -> SimVehicle:
+    """Drive the rover, disarm it in GUIDED on its way, and wait until it stands."""
+    rover = gcs.sims[0]
+    await gcs.done("vehicles.arm", wait_s=60.0)
+    await gcs.done("vehicles.goto", enu_m=[0, 60, 0])
+    await gcs.until(lambda: rover.motion.groundspeed_mps > 1.5)
+    await gcs.done("vehicles.disarm")
+    await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0)
+    return rover
+
+
 async def test_a_rover_that_is_disarmed_on_its_way_coasts_to_a_stop(tmp_path: Path) -> None:
     async with flown(tmp_path, **EMPTY, others={"rover": 1}) as gcs:
-        rover = gcs.sims[0]
-        await gcs.done("vehicles.arm", wait_s=60.0)
-        await gcs.done("vehicles.goto", enu_m=[0, 60, 0])
-        await gcs.until(lambda: rover.motion.groundspeed_mps > 1.5)
-        await gcs.done("vehicles.disarm")
-        await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0)
+        rover = await disarmed_on_its_way(gcs)
         assert away_m(rover, 0, 60) > 30
         # armed again it would drive on to its place; out of GUIDED and back it stands
         assert "may drive on at once" in await refusal(gcs, "vehicles.arm")
@@ -103,12 +109,7 @@ async def test_a_rover_that_is_disarmed_on_its_way_coasts_to_a_stop(tmp_path: Pa
 async def test_a_rover_that_is_made_to_arm_in_guided_drives_on(tmp_path: Path) -> None:
     """ModeGuided::update goes on where it was (Rover/mode_guided.cpp)."""
     async with flown(tmp_path, **EMPTY, others={"rover": 1}) as gcs:
-        rover = gcs.sims[0]
-        await gcs.done("vehicles.arm", wait_s=60.0)
-        await gcs.done("vehicles.goto", enu_m=[0, 60, 0])
-        await gcs.until(lambda: rover.motion.groundspeed_mps > 1.5)
-        await gcs.done("vehicles.disarm")
-        await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0)
+        rover = await disarmed_on_its_way(gcs)
         await gcs.done("vehicles.arm", force=True)
         await gcs.until(lambda: away_m(rover, 0, 60) <= rover.params["WP_RADIUS"], 60.0)
 

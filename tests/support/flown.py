@@ -112,7 +112,7 @@ class Ordering:
         raise NotImplementedError
 
     async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
-        """Of an order to one vehicle."""
+        """Give an order to one vehicle and return its outcome."""
         (outcome,) = (await self(name, targets=targets, **params))["outcomes"].values()
         return dict(outcome)
 

@@ -81,7 +81,7 @@ def call_socket(path: Path, method: str, **params: Any) -> Any:
 
 
 def cli_at(socket: Path, *words: str | Path, code: int = 0) -> str:
-    """What `skygcs-cli` prints, with this socket; it must exit with ``code``."""
+    """Run `skygcs-cli` with this socket and return its output; the exit code must be ``code``."""
     done = subprocess.run(
         [Path(sys.executable).with_name("skygcs-cli"), *map(str, words)],
         env={**os.environ, "SKYGCS_SOCKET": str(socket)},

@@ -259,7 +259,10 @@ async def watched(gcs: Flown) -> AsyncIterator[TruthMonitor]:
         lambda sysid: not (gcs.cut or gcs.deaf or gcs.loses or sysid in gcs.muted),
         lambda: gcs.uplink_delay_s,
     )
-    heard: Callable[[int], bool] = lambda sysid: not gcs.cut and sysid not in gcs.muted  # noqa: E731
+
+    def heard(sysid: int) -> bool:
+        return not gcs.cut and sysid not in gcs.muted
+
     looking = asyncio.create_task(watch(monitor, gcs, heard), name="the monitor")
     try:
         await asyncio.sleep(0)  # it sees what follows

@@ -87,7 +87,7 @@ at each time."""
 class Flows:
     """The flows of all channels.
 
-    ``table``: None if there is no compiled fast path; then there are none. ``each_frame(channel_id)``: True if each
+    ``table``: None without the compiled fast path; there are no flows then. ``each_frame(channel_id)``: True if each
     frame that goes to this channel has to be handled. ``on_fault``: gets an exception of a vehicle's state. Whoever
     changes a route, an observer or such a rule calls `forget`.
     """

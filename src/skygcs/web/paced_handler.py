@@ -113,7 +113,7 @@ class PacedHandler(RequestHandler):
         return super().handle_error(request, status, exc, message)
 
     def log_exception(self, *what: Any, **how: Any) -> None:
-        """Log a fault of ours with its traceback. What a client sent wrong is none."""
+        """Log a fault of ours with its traceback; malformed requests of clients are only counted."""
         if not isinstance(how.get("exc_info"), HttpProcessingError):
             super().log_exception(*what, **how)
 

@@ -319,8 +319,8 @@ def _out_of_ways(
     stays: Collection[int],
     fenced: set[int],
 ) -> Generator[None, None, dict[int, float]]:
-    """One that waits where a way of another leads through, and the height at which it is above all such ways where it
-    stands; never above `ASIDE_M`. It sets out while whoever comes is not at its column yet."""
+    """Return the key of a waiting vehicle whose place others' ways lead through, with the height that clears those ways
+    there, at most `ASIDE_M`; empty if there is none. It climbs only while no other vehicle is near its column."""
     for one in ordered:
         if one.key not in blocked:
             continue

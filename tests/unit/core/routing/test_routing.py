@@ -146,7 +146,7 @@ def test_more_frames_than_are_remembered_are_forgotten_first(monkeypatch: pytest
 
 @each(("lost", "switches"), [(4, False), (8, True)])
 def test_a_parallel_link_is_preferred_where_it_hears_a_tenth_more(lost: int, switches: bool) -> None:
-    """Of 64 frames; one that is gone is none, and one that carries no copies is no other way."""
+    """Compared over 64 frames. A closed link is not preferred, nor one that carries no copies."""
     links = ParallelChannels(1)
     for n in range(64):
         if n >= lost:

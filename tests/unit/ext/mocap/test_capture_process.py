@@ -70,7 +70,7 @@ class Capture:
 
 
 async def test_an_ordinary_system_that_was_late_once_loses_no_more_frames() -> None:
-    """Of 30 bodies at 240 Hz more came in the pause after such a read than is taken of the next: each lost frames."""
+    """With 30 bodies at 240 Hz the pause after a late read was so long that each later read lost frames."""
     rate_hz = 240.0
     body: Body = ((1.23456789, 2.3456789, 0.56789012), (0.98765432, 0.0123456, 0.0345678, 0.1456789))
     bodies = {f"quad{number}": body for number in range(30)}

@@ -140,7 +140,7 @@ test("a first question that was refused is repeated", () =>
     assert.deepEqual([store.state.origin, frameIsKnown(store.state)], [NEW, true]);
   }));
 
-test("an alarm that no other event reports is an event, and any other change of the alarms is none", () =>
+test("the page lists an alarm that no other event reports, and no other change of the alarms", () =>
   session(async (station, store) => {
     const alarm = { time_unix_s: 1, kind: "alarm", vehicle: "a", sysid: null, severity: "alarm", text: "battery 10 %", data: {} };
     station.say("event", { event: alarm });
