@@ -374,7 +374,7 @@ class Extensions:
                 self._on_fault(error)
 
     def close(self) -> None:
-        """End the work of all; none is made any more."""
+        """Close all extensions; no further one is made."""
         self._closed = True
         for part in self._parts.values():
             self._close(part)

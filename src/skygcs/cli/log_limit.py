@@ -35,7 +35,7 @@ class LogLimit:
         self._kinds: OrderedDict[str, tuple[TokenBucket, list[int]]] = OrderedDict()
 
     def admit(self, kind: str) -> int | None:
-        """How many lines of this kind were left out since its last one; None if this one is to be left out."""
+        """Number of lines of this kind left out since its last one; None: leave this one out, too."""
         now = self._clock()
         found = self._kinds.pop(kind, None)
         if found is None:

@@ -100,7 +100,7 @@ class _Reloader:
         self._requested.set()
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Search until cancelled."""
         log = import_structlog().get_logger("skygcs")
         await self._daemon.ready.wait()
         while self._load is not None:

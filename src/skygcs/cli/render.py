@@ -203,7 +203,7 @@ class OutcomeLines:
 
 
 def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]], columns: int | None = None) -> list[str]:
-    """`OutcomeLines` of all of them."""
+    """The lines of several outcomes, by vehicle name."""
     lines = OutcomeLines(columns, max((len(name) for name in outcomes), default=0))
     return [line for name, outcome in outcomes.items() for line in lines.of(name, outcome)]
 

@@ -423,7 +423,7 @@ def checked(setpoint: Mapping[str, Any]) -> dict[str, Any]:
     raw = [key for key in ("roll_deg", "pitch_deg", "attitude", "body_rates_deg_s", THRUST) if key in setpoint]
     placed = [key for key in ("pos_enu_m", "vel_enu_mps") if any(v is not None for v in setpoint.get(key) or ())]
     if raw and placed:
-        raise LineError("attitude, body rates and thrust go with no position or velocity")
+        raise LineError("attitude, body rates and thrust exclude position and velocity")
     if not placed and (raw or "acc_enu_mps2" in setpoint):
         return _checked_raw(setpoint)
     position = setpoint.get("pos_enu_m") or [None] * 3

@@ -115,9 +115,9 @@ def _check_options(
     if sum(port is not None for port in ports) != 1:
         raise LinkError("one of --udp, --tcp and --pty is needed")
     if air is not None and ports[2] is None:
-        raise LinkError("--radio: emulated radios are behind a --pty")
+        raise LinkError("--radio needs --pty")
     if xbee is not None and (ports[2] is None or air is not None):
-        raise LinkError("--xbee: an emulated network of XBee modules is behind a --pty, without --radio")
+        raise LinkError("--xbee needs --pty, and excludes --radio")
 
 
 def _network_ports(

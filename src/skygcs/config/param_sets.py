@@ -14,7 +14,7 @@ from skygcs.sim.param_set import ParamSet, param_set
 
 
 def load_param_set(path: Path) -> ParamSet:
-    """Raises ConfigError for a file that does not exist, is no text, or belongs to another kind of vehicle."""
+    """Raises ConfigError for a file that does not exist, is not text, or belongs to another kind of vehicle."""
     try:
         with open_regular(path) as file:
             raw = file.read(4 * MAX_CHARS + 1)

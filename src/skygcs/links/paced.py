@@ -85,7 +85,7 @@ class AirBudget:
         return self.queue.pop(now)
 
     def next_send_time(self, now: float) -> float | None:
-        """When `pop` is to be asked again, if nothing more is offered; None: not before something is."""
+        """Time at which to call `pop` again, if nothing more is offered; None: not before something is."""
         times = [self.queue.next_send_time(now), self.third_party.next_poll(now)]
         if not self.queue.waiting(Priority.CORRECTION):
             times.append(self.corrections.next_send_time(now))

@@ -112,8 +112,9 @@ class ReadingTurns:
         self.stale = {reader: opened.waiting() for reader, opened in self._open.items() if not self._is_empty(reader)}
 
     def emptied(self, reader: Hashable, taken: int) -> bool:
-        """To be asked after a read of a stale reader, with what it took: True if nothing is left of what had waited.
-        Then hand on what its parser holds back, and call `trust`."""
+        """Count the ``taken`` bytes of a stale reader; True: nothing old is left. The caller then delivers what its
+        parser holds back, and calls `trust`.
+        """
         self.stale[reader] -= taken
         return self.stale[reader] <= 0 or self._is_empty(reader)
 

@@ -134,7 +134,7 @@ class StreamIntake:
             self._timer = None
 
     def rescue(self) -> None:
-        """Nothing more is to be expected for now: hand on what stands behind a false start."""
+        """Deliver what follows a false start, as nothing more is expected for now."""
         channel = self._channel
         while frames := channel.parser.rescue():  # each time it gives some, it holds less
             channel.link.host.on_frames(channel, frames, self._loop.time())

@@ -276,8 +276,9 @@ class XBeeLink(Link):
         watcher.want_write(bool(self._unwritten))
 
     def drop_unwritten(self) -> None:
-        """Forget what waits for the module: broadcasts, and packets that the port has not taken. The module drops the
-        begin of a packet when another one follows."""
+        """Drop what waits for the module: broadcasts, and packets that the port has not taken. The module itself
+        drops a partial packet when another one follows.
+        """
         self._unwritten = self._to_all = b""
         if self._watcher is not None:
             self._watcher.want_write(False)

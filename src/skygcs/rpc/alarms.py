@@ -97,9 +97,7 @@ class MonitorState(Result):
 
 
 def alarms_list(context: Context, _: NoParams) -> JsonObject:
-    """Open alarms, and acknowledged ones whose condition lasts; kept over a restart. Each change is an event of kind
-    "alarm".
-    """
+    """Open alarms, and acknowledged ones whose condition lasts. Each change is an event of kind "alarm"."""
     return {"alarms": context.services.alarms.all()}
 
 

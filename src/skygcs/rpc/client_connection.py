@@ -233,7 +233,7 @@ class ClientConnection(asyncio.Protocol):
                 try:
                     self._on_answer(json.loads(line))
                 except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-                    self._give_up(f"it sent what is no answer of skygcs ({type(error).__name__})")
+                    self._give_up(f"what it sent is not an answer of skygcs ({type(error).__name__})")
         if len(self._lines) > MAX_REPLY_BYTES:  # after the whole lines that came before it
             self._give_up(f"it sent more than {MAX_REPLY_BYTES >> 20} MiB without the end of a line")
 

@@ -89,7 +89,7 @@ def origin_from_vehicle(context: Context, params: OriginFromParams) -> JsonObjec
 async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     """Send vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and read theirs back.
 
-    It moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only while it has none.
+    It moves the vehicle's local frame, for programs on board. ArduPilot accepts it only while it has none.
     """
     push = context.services.fleet.orders.push_origin
     return as_json(await push(params.targets, home=params.home, force=params.force, reports=context.reports))
@@ -125,8 +125,8 @@ class ControlSetParams(TargetsParams):
     """Which control loops skygcs closes: none (position), position (velocity), position and velocity (attitude)."""
 
     mode: Mode = Field(
-        description="What is sent (docs/explanation/flight-control.md). raw: attitude, body rates"
-        " or acceleration of control.setpoint; off: nothing, and hold is ordered."
+        description="What is sent (docs/explanation/flight-control.md). raw: attitude, body rates or "
+        "acceleration; off: hold is ordered."
     )
     force: bool = Field(
         False, description="Attitude although the autopilot keeps its tilt for long after setpoints are lost."
@@ -191,7 +191,7 @@ class SetpointParams(TargetsParams):
     pitch_deg: Annotated[float, Field(ge=-90, le=90)] | None = Field(None, description="Raw: nose up.")
     body_rates_deg_s: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
         None,
-        description="Raw: [roll, pitch, yaw], each positive as roll_deg, pitch_deg and yaw_deg grow in level flight.",
+        description="Raw: [roll, pitch, yaw], positive as roll_deg, pitch_deg and yaw_deg grow in level flight.",
     )
     thrust: Annotated[float, Field(ge=0, le=1)] | None = Field(
         None, description="Raw: collective, beside an attitude or body rates."
@@ -205,7 +205,7 @@ class SetpointParams(TargetsParams):
         if self.pos_enu_m is None and self.vel_enu_mps is None and (is_raw or self.acc_enu_mps2 is not None):
             return self
         if is_raw:
-            raise ValueError("attitude, body rates and thrust go with no position or velocity: give one or the other")
+            raise ValueError("attitude, body rates and thrust exclude position and velocity: give one or the other")
         position = self.pos_enu_m or [None, None, None]
         velocity = self.vel_enu_mps or [None, None, None]
         if (position[0] is None) != (position[1] is None):

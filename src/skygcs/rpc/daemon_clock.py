@@ -22,7 +22,7 @@ class DaemonClock:
         self._comparison = ClockComparison()
 
     def sample(self, sent_at: float, daemon_now_s: object, came_at: float) -> None:
-        """The daemon's clock was ``daemon_now_s`` between two times of this process. A value that is no time is left
+        """The daemon's clock was ``daemon_now_s`` between two times of this process. A value that is not a time is left
         out: the daemon is of another version."""
         if not is_number(daemon_now_s):
             return

@@ -417,7 +417,7 @@ class _MethodNotFound(SkygcsError):
 
 
 def deadline_refusal(request: Mapping[str, Any], now: float) -> bytes | None:
-    """The reply to a request whose ``deadline_s`` has passed or is no number; None: it is to be carried out.
+    """The reply to a request whose ``deadline_s`` has passed or is not a number; None: carry it out.
 
     ``now``: the daemon's clock, which daemon.info shows.
     """

@@ -148,7 +148,7 @@ class CorrectionsParams(MethodParams):
         "rpc",
         min_length=1,
         max_length=64,
-        description="Name of the stream. Another one is refused until this one has ended or was silent for 10 s.",
+        description="Name of the stream. Another is refused until this one has ended or was silent for 10 s.",
     )
     end: bool = Field(False, description="Its last piece: another source may follow at once.")
 

@@ -164,7 +164,7 @@ async def vehicles_stream(context: Context, params: StreamParams) -> JsonObject:
 async def vehicles_command(context: Context, params: CommandParams) -> JsonObject:
     """Send any MAV_CMD and wait for its acknowledgement.
 
-    Without force only what the outgoing gate passes is sent (docs/reference/gate.md).
+    Without force the outgoing gate decides (docs/reference/gate.md).
     """
     _check_command(context.services.dialect, params.command)
     if params.int_frame is not None:
@@ -184,8 +184,8 @@ def messages_latest(context: Context, params: LatestParams) -> JsonObject | None
 def messages_send(context: Context, params: SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field.
 
-    A message with a target field needs target, link or that field ("all" or 0: everyone); others go to everyone unless
-    a target or link is given. Without force only what the outgoing gate passes is sent (docs/reference/gate.md).
+    A message with a target field needs target, link or that field ("all" or 0: everyone); others go to everyone
+    unless a target or link is given. Without force the outgoing gate decides (docs/reference/gate.md).
     """
     info = find_message(context.services.dialect, params.name, "name")
     fields = _checked_fields(context.services.dialect, info, params.fields)
@@ -280,7 +280,7 @@ def _number_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
     if field.type in ("float", "double") and value is None:
         return float("nan")
     if isinstance(value, str) and len(value) > MAX_VALUE_CHARS:
-        raise ValueError(f"is {field.type}; a text of {len(value)} characters fits in no field")
+        raise ValueError(f"is {field.type}; a text of {len(value)} characters is too long for any field")
     if field.type == "char":
         return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
     if isinstance(value, str) and field.enum:

@@ -96,7 +96,7 @@ def unsubscribe(context: Context, params: UnsubscribeParams) -> JsonObject:
 
 
 def operator_relay(context: Context, _: NoParams) -> JsonObject:
-    """Do not count requests of this connection for operator_timeout_s; only operator.active does.
+    """Do not count requests of this connection for operator_timeout_s, but only operator.active.
 
     For programs that send requests by themselves while a person may have left.
     """

@@ -77,7 +77,7 @@ class PlanUploadParams(TargetsParams):
     lists: Lists | None = Field(None, description="null: those that the plan holds.")
     arrangement: ArrangementParams | None = Field(
         None,
-        description="Make each vehicle's mission from the plan's, by system id; null: all get it as it is.",
+        description="Give each vehicle, by system id, a mission of its own; null: all get the plan's.",
     )
     force: bool = Field(
         False,
@@ -164,8 +164,7 @@ class TurnsEnded(Result):
 async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObject:
     """Check a plan against each vehicle and upload it, its fence first.
 
-    Progress comes as events of kind command. An outcome that is not ok says what the vehicle holds. A client that goes
-    ends the upload.
+    Progress: events of kind command. A failed outcome says what the vehicle holds. The upload ends with its client.
     """
     try:
         plan = (await asyncio.to_thread(read_plan, params.plan.encode(), params.name)).plan  # 1 MB: up to 0.6 s
@@ -202,7 +201,7 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on.
 
-    One after another, the answer comes when the first has started (docs/howto/missions.md has what ends the turns).
+    One after another, the answer comes when the first has started (what ends the turns: docs/howto/missions.md).
     """
     arguments: dict[str, Any] = {"first": params.first, "arm": params.arm, "force": params.force}
     if params.one_after_another:
@@ -378,7 +377,7 @@ LOGS: tuple[Method[Context], ...] = (
         onboard_orders.get_logs,
         """Write onboard logs of vehicles to files of the daemon, in onboard/ of its log_dir.
 
-        A log that came in part is resumed; one that is there is not read again. Progress comes as events of kind
+        Resumes a log that came in part; skips one that is there. Progress comes as events of kind
         onboard_log. Refused while armed, and over a radio without force. It ends with its client.
         """,
         result=LogsOutcomes,

@@ -140,8 +140,8 @@ class SubscribeParams(MethodParams):
         None,
         ge=LEAST_RATE_HZ,
         le=MAX_RATE_HZ,
-        description="telemetry, plan in flight: Hz, default 2, at most 20. messages: at most so "
-        "many Hz of each name and source; null: every one.",
+        description="telemetry, plan in flight: Hz, default 2, at most 20. messages: at most so many Hz per name "
+        "and source; null: all.",
     )
     names: Annotated[list[NameOrId], Field(min_length=1, max_length=64)] | None = Field(
         None,

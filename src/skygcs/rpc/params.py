@@ -63,8 +63,8 @@ class ParamSetParams(TargetsParams):
     )
     force: bool = Field(
         False,
-        description="Values outside their range; in flight also gains, limits and parameters of "
-        "unknown effect, but nothing that the flight was certified with.",
+        description="Values outside their range; in flight also gains, limits and unknown parameters, but nothing"
+        " that the flight was certified with.",
     )
 
 
@@ -72,7 +72,7 @@ class ParamMetadataParams(TargetsParams):
     names: list[Name] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
     read: bool = Field(
         False,
-        description="Read the vehicle's file over a slow link, too (some 70 kB); over a fast one it is always read.",
+        description="Read the vehicle's file (some 70 kB) over a slow link, too.",
     )
 
 
@@ -252,8 +252,8 @@ def _description(known: ParamMetadata) -> JsonObject:
 async def params_list(context: Context, params: ParamListParams) -> Encoded:
     """All parameters, one vehicle after another. Progress comes as events "params".
 
-    Known values are read again unless the vehicle confirms them: PX4 by a hash over all, ArduPilot by firmware and
-    number. A request meanwhile gets the same list, at the rate of the first.
+    Known values are not read again if the vehicle confirms them: PX4 by a hash over all, ArduPilot by firmware and
+    number. A request meanwhile gets the same list.
     """
     vehicles = context.services.fleet.resolve(params.targets)
     if params.values and len(vehicles) > MAX_WITH_VALUES:
@@ -292,12 +292,12 @@ def _entry(param: Param) -> JsonObject:
 
 
 def params_status(context: Context, params: TargetsParams) -> JsonObject:
-    """Parameters that are known without asking the vehicles, and the progress of a list."""
+    """Parameters that are known, and the progress of a list."""
     return {v.name: v.params.status() for v in context.services.fleet.resolve(params.targets)}
 
 
 def params_cancel(context: Context, params: TargetsParams) -> JsonObject:
-    """Stop reading and setting parameters; what was taken stays. The result: pending requests by vehicle."""
+    """Stop reading and setting parameters; what was taken stays. Result: pending requests by vehicle."""
     return {v.name: v.params.cancel() for v in context.services.fleet.resolve(params.targets)}
 
 
@@ -326,8 +326,8 @@ async def _each(
 class PreflightParams(TargetsParams):
     fix: bool = Field(
         False,
-        description="Set the parameters that mend a failed check, and examine it again; not on an armed "
-        "vehicle, and never a system id.",
+        description="Set the parameters that mend failed checks, and examine again; not on an armed vehicle, and "
+        "never a system id.",
     )
     confirmed: dict[str, dict[Name, float]] | None = Field(
         None,
@@ -434,7 +434,7 @@ async def undo_list(context: Context, _: NoParams) -> JsonObject:
 async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
     """Undo one of them, and read the parameters back.
 
-    Without force refused while armed, and where a parameter holds neither the old value nor that of the change.
+    Without force refused while armed, and where a parameter holds neither the old nor the changed value.
     """
     outcome = await context.services.fleet.undo.run(params.id, force=params.force)
     return {"outcomes": {params.id: outcome.as_dict()}}

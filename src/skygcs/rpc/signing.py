@@ -73,8 +73,7 @@ class SigningStatus(Result):
 async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObject:
     """Send vehicles a signing key (SETUP_SIGNING), and wait until they sign with it.
 
-    Refused to an armed vehicle, and over a link that others can receive. skygcs itself signs by the link's signing
-    table.
+    Refused to an armed vehicle, and over a link that others can receive. skygcs signs by the link's signing table.
     """
     path = Path(params.key_file)
     if "\0" in params.key_file:

@@ -35,8 +35,8 @@ class PieceParams(MethodParams):
 
 class TrajectoryLoadParams(TargetParams):
     pieces: Annotated[list[PieceParams], Field(min_length=1, max_length=MAX_PIECES)] = Field(
-        description="Each with duration_s and the ascending coefficients x, y, up (metres of the fleet's frame) and, "
-        "in all pieces or in none, yaw (radians)."
+        description="Each with duration_s and ascending coefficients x, y, up (metres of the fleet's frame) and, "
+        "in all or none, yaw (radians)."
     )
     name: Annotated[str, Field(max_length=64)] = Field("trajectory", description="For people: in texts and status.")
 
@@ -63,7 +63,7 @@ class TrajectorySpeedParams(TargetsParams):
 
 
 class TrajectoryOfVehicle(Result):
-    """One that is loaded or flown; also speed_max_mps, acceleration_max_mps2, box_m, with, left, flight."""
+    """A trajectory that is loaded or flown; also speed_max_mps, acceleration_max_mps2, box_m, with, left, flight."""
 
     vehicle: str
     name: str
@@ -111,9 +111,9 @@ async def trajectory_load(context: Context, params: TrajectoryLoadParams) -> Jso
 
 
 async def trajectory_start(context: Context, params: TrajectoryStartParams) -> JsonObject:
-    """Let vehicles follow their trajectories on one clock: all of them, or none.
+    """Start the trajectories of vehicles on one clock, all or none.
 
-    Conditions: docs/howto/fly-several.md#trajectories. The daemon flies it, also without the client.
+    Conditions: docs/howto/fly-several.md#trajectories. The daemon goes on without the client.
     """
     fleet = context.services.fleet
     now = context.services.now()
@@ -140,13 +140,13 @@ def trajectory_resume(context: Context, params: TargetsParams) -> JsonObject:
 
 
 def trajectory_speed(context: Context, params: TrajectorySpeedParams) -> JsonObject:
-    """Change the speed of vehicles, with all that started with them; refused where a limit would be exceeded."""
+    """Change the speed of vehicles, and of all that started with them; refused where a limit would be exceeded."""
     fleet = context.services.fleet
     return as_json(fleet.trajectories.set_speed(fleet.resolve(params.targets), params.speed))
 
 
 def trajectory_abort(context: Context, params: TargetsParams) -> JsonObject:
-    """Stop vehicles on their paths for good, with all that started with them; they stay under control."""
+    """Stop vehicles, and all that started with them, for good; they stay under control."""
     fleet = context.services.fleet
     return as_json(fleet.trajectories.abort(fleet.resolve(params.targets)))
 

@@ -73,8 +73,7 @@ class HoldParams(TargetsParams):
     instead_of: int | None = Field(
         None,
         ge=0,
-        description="order_number of the order that this ends: refused if a newer one moves the "
-        "vehicle, or may. null: whatever moves it.",
+        description="order_number of the order to end; refused if a newer one moves the vehicle, or may. null: any.",
     )
 
 
@@ -124,12 +123,12 @@ class RebootParams(TargetsParams):
 
 
 class ForgetParams(TargetsParams):
-    force: bool = Field(False, description="Forget it although it is heard, or was lost armed in the last half hour.")
+    force: bool = Field(False, description="Although it is heard, or was lost armed in the last half hour.")
 
 
 class RenumberParams(TargetParams):
     sysid: int = Field(ge=1, le=250, description="The new system id; 251 to 255 belong to ground stations.")
-    force: bool = Field(False, description="Use it although the fleet file gives it to a vehicle that is not heard.")
+    force: bool = Field(False, description="Although the fleet file gives it to a vehicle that is not heard.")
 
 
 class SetHomeParams(TargetsParams):
@@ -160,7 +159,7 @@ def vehicles_get(context: Context, params: TargetParams) -> JsonObject:
 async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
     """Set the flight mode by the autopilot's own name for it.
 
-    The mode of a return or landing is, for copters in flight, vehicles.rtl or vehicles.land; force sets the mode alone.
+    For copters in flight the mode of a return or landing is vehicles.rtl or vehicles.land; force sets the mode alone.
     """
     return await command(context, params.targets, VehicleActor.set_mode, name=params.mode, force=params.force)
 
@@ -199,8 +198,7 @@ METHODS: tuple[Method[Context], ...] = (
         "vehicles.rtl",
         TargetsParams,
         VehicleActor.rtl,
-        "Return to launch and land there. A vehicle whose way home is not clear holds until it "
-        "is; ordered again alone it returns at once.",
+        "Return to launch and land there, once the way home is clear; ordered again alone, a vehicle returns at once.",
     ),
     order_method("vehicles.hold", HoldParams, VehicleActor.hold, "Stop and hold position."),
     order_method(
@@ -220,8 +218,7 @@ METHODS: tuple[Method[Context], ...] = (
         "vehicles.calibrate",
         CalibrateParams,
         VehicleActor.calibrate,
-        'Calibrate a sensor of disarmed vehicles. Events of kind "calibration" show the progress;'
-        " a client that goes cancels it.",
+        'Calibrate a sensor of disarmed vehicles. Progress: events of kind "calibration". It ends with its client.',
     ),
     order_method(
         "vehicles.calibrate_confirm",

@@ -146,7 +146,7 @@ class VehicleMetadata:
         """Find, read and keep the vehicle's own file. Raises NoMetadataError."""
         general = general_file(await self._document(await self._general_path(), MAX_GENERAL_BYTES))
         if general is None:
-            raise NoMetadataError("it names no file of its parameters on board")
+            raise NoMetadataError("its general metadata name no parameter file")
         if general.crc is not None and self._params.cache.load_table(general.crc) is not None:
             self._crc = general.crc
             return

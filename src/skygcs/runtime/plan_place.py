@@ -97,7 +97,7 @@ class PlanPlace:
         return {"now_s": round(self._now(), 3), **NO_PLAN} | found
 
     def tick(self) -> None:
-        """Five times a second."""
+        """Watch the flight; called five times a second."""
         try:
             if self.keeper is not None:
                 self.keeper.tick()

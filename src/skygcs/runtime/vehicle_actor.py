@@ -717,7 +717,7 @@ class VehicleActor:
         self._stop_transfers("lost", text)
 
     def _stop_transfers(self, result: str, text: str) -> None:
-        """End every exchange with it that is no order."""
+        """End every exchange with it that is not an order."""
         self.missions.stop(result, text)
         self.params.stop_all(result, text)
         self._stop_logs(result, text)

@@ -82,7 +82,7 @@ class MissionLists(ABC):
         return 0
 
     def keep(self, kind: MissionType, items: Items) -> None:
-        """This is the list now. Raises ValueError for a fence that is none; the old one stays then."""
+        """This is the list now. Raises ValueError for an invalid fence; the old one stays then."""
         if kind is MissionType.FENCE:
             self.fence = fence_from_items(items)
         self.items[kind] = items
@@ -121,7 +121,7 @@ def capacity_of(rules: MissionRules) -> dict[MissionType, int]:
 
 
 def scale_of(item: MissionItem) -> float:
-    """Scale of x and y in MISSION_ITEM_INT: 1e7 for degrees, 1 for what is no place."""
+    """Scale of x and y in MISSION_ITEM_INT: 1e7 for degrees, 1 for items without a place."""
     return 1e7 if item.frame in GLOBAL_FRAMES else 1.0
 
 

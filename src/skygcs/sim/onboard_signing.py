@@ -18,7 +18,7 @@ AHEAD_TICKS = 60 * TICKS_PER_S
 
 
 class BoardSigning:
-    """``key`` None: signs nothing and takes everything. Kept over a reboot, as in its flash."""
+    """A vehicle's signing, kept over a reboot. ``key`` None: it signs nothing and accepts everything."""
 
     def __init__(self) -> None:
         self.key: bytes | None = None

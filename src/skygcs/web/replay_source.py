@@ -233,7 +233,7 @@ class ReplaySource:
         raise RpcError(REFUSED, f"{method[:80]}: this is a replay; nothing can be ordered or asked")
 
     def operator_active(self) -> None:
-        """Nobody waits for it."""
+        """Do nothing: a replay has no operator."""
 
     async def _on_info(self, _: PageClient, __: dict[str, Any]) -> dict[str, Any]:
         return self.status()

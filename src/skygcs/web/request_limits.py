@@ -53,7 +53,7 @@ class PageLimits:
 
     @property
     def exceeded(self) -> bool:
-        """True if the page is to be closed."""
+        """True if the page has to be closed."""
         return self.refused >= MAX_REFUSED
 
     def begin(self, now: float, *, ends_flight: bool, others: int = 0) -> str | None:

@@ -205,7 +205,7 @@ class PageStates:
         self._generation = None
 
     def show(self, view: View) -> None:
-        """Set what the page shows in full, of a large fleet."""
+        """Set the vehicles of a large fleet that the page shows in full."""
         self._view_changed = self._view_changed or view != self._view
         self._view = view
 

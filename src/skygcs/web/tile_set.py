@@ -76,7 +76,7 @@ def is_tile(zoom: int, x: int, y: int) -> bool:
 def zooms_of(path: Any, least: Any, most: Any) -> tuple[int, int]:
     """The zooms of a file as it gives them. Raises TileFileError."""
     if not (isinstance(least, int) and isinstance(most, int) and 0 <= least <= most):
-        raise TileFileError(path, f"zooms {least} to {most} are none; make the tiles anew")
+        raise TileFileError(path, f"zooms {least} to {most} are not possible; make the tiles again")
     if least > MAX_ZOOM:
         raise TileFileError(path, f"its zooms begin at {least}; up to {MAX_ZOOM} are drawn")
     return least, min(most, MAX_ZOOM)

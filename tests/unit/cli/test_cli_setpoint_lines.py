@@ -149,7 +149,7 @@ def test_json_and_csv_of_an_own_controller_say_the_same(lines: tuple[str, str, s
         (['{"rates": [5, 0, 90], "acc": [0, 0, 0], "thrust": 0.5}'], "one of them"),
         (['{"acc": [0, 0, 0], "thrust": 0.5}'], "no thrust beside"),
         (['{"acc": [0, null, 0]}'], "all three axes"),
-        (['{"att": [5, 0, 90], "thrust": 0.5, "pos": [1, 2, 3]}'], "go with no position"),
+        (['{"att": [5, 0, 90], "thrust": 0.5, "pos": [1, 2, 3]}'], "exclude position"),
         (["roll_deg,pitch_deg,thrust", "1,2,0.5"], "needs roll, pitch and yaw"),
         (["roll_rate,yaw_rate,thrust", "1,2,0.5"], "give all of them or none"),
     ],

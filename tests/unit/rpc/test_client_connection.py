@@ -136,7 +136,7 @@ async def lied_to(path: Path, sent: bytes, times: int = 1) -> AsyncIterator[Clie
 )
 async def test_what_is_no_answer_ends_the_connection_and_nothing_else(sent: bytes, tmp_path: Path) -> None:
     async with lied_to(tmp_path / "s", sent) as connection:
-        with pytest.raises(DaemonUnreachable, match="no answer of skygcs"):
+        with pytest.raises(DaemonUnreachable, match="not an answer of skygcs"):
             await connection.request("daemon.info", {})
 
 

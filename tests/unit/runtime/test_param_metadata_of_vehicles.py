@@ -124,7 +124,7 @@ async def test_over_a_slow_link_it_is_read_on_request_only(tmp_path: Path) -> No
         (Board(ParamCache(None), {GENERAL: b"\xfd7zXZ\x00rubbish"}), "it cannot be unpacked"),
         (Board(ParamCache(None), {GENERAL: packed({})[:-9]}), "it is not whole"),
         (Board(ParamCache(None), {GENERAL: b"{" * 5000}), "it is not JSON"),
-        (Board(ParamCache(None), {GENERAL: b"[1]"}), "it names no file"),
+        (Board(ParamCache(None), {GENERAL: b"[1]"}), "name no parameter file"),
         (Board.with_file(ParamCache(None), {"parameters": "none"}), "it has no parameters"),
         (Board.with_file(ParamCache(None), "x" * 17_000_000), "it is not whole, or larger than 16 MiB"),
     ],

@@ -257,13 +257,13 @@ def why_not_delay(config: ControlConfig, delay_s: float, reserve: float = DEFAUL
 
     Each axis on its true plant, g/hover. Wanted of the delay margin is ``reserve`` times the delay, for all the model
     leaves out, and half a period for an output that is held until the next, which is known and needs no reserve.
-    Takes 0.2 ms and no numpy: fit for an order, not for a tick. Raises ValueError for a reserve below 1 and for a delay
-    that is none.
+    Takes 0.2 ms and no numpy: fit for an order, not for a tick. Raises ValueError for a reserve below 1, and for a
+    negative or infinite delay.
     """
     if reserve < 1:
         raise ValueError("a reserve below 1 would be unstable")
     if not 0 <= delay_s < math.inf:
-        raise ValueError(f"{delay_s} s is no delay")
+        raise ValueError(f"a delay of {delay_s} s is not possible: 0 or more")
     problems = (
         _why_not_axis(axis, gains, config, delay_s, reserve) for axis, gains in (("xy", config.xy), ("z", config.z))
     )

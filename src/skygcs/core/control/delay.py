@@ -144,7 +144,7 @@ class DelayMeter:
         self._regular_at = -math.inf
 
     def on_tick(self, state_age_s: float | None, now: float) -> None:
-        """To be called in every tick of the loop. No state, or an age that is NaN, is one infinitely old."""
+        """Count one tick; call this in every tick. No state, or an age of NaN, counts as infinitely old."""
         ages_at, ages_s = self._ages_at, self._ages_s
         if ages_at and now < ages_at[-1]:  # the clock ran backwards: what is remembered cannot be dated
             ages_at.clear()

@@ -186,7 +186,7 @@ class Verdict:
     reasons: tuple[str, ...]
     """Why it is not the wanted mode, for the operator: the figure and its limit. Empty if it is."""
     changed: bool
-    """To be reported now: at each change of action or mode, and at each new kind of reason."""
+    """True if it has to be reported now: at each change of action or mode, and at each new kind of reason."""
     kinds: tuple[str, ...] = ()
     """The kinds of the reasons, without figures, for programs."""
 

@@ -336,7 +336,7 @@ _BISECTIONS = 40
 
 @dataclass(frozen=True, slots=True)
 class DelayRange:
-    """The delays between which the loop is stable; ``assumed_s`` is what the predictor counts with."""
+    """The delays between which the loop is stable while the predictor assumes ``assumed_s``."""
 
     assumed_s: float
     least_s: float

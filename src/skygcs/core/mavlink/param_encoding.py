@@ -80,7 +80,7 @@ Value = int | float
 
 
 class Encoding(Enum):
-    """How an integer travels; the words are those of the MAVLink guide."""
+    """How an integer parameter is sent, in the terms of the MAVLink guide."""
 
     BYTEWISE = "bytewise"
     C_CAST = "C cast"

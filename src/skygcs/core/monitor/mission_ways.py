@@ -128,7 +128,7 @@ def mission_box(items: Sequence[MissionItem], home: Place) -> MissionBox:
 
 
 def jump_target(items: Sequence[MissionItem], jump: MissionItem) -> int | None:
-    """The index of the item to which a DO_JUMP or DO_JUMP_TAG leads; None: to none."""
+    """The index of the item to which a DO_JUMP or DO_JUMP_TAG leads; None: no such item."""
     number = jump.params[0]
     if jump.command == mav_cmd.DO_JUMP_TAG:
         tagged = (i for i, item in enumerate(items) if item.command == mav_cmd.JUMP_TAG and item.params[0] == number)

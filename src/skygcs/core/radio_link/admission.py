@@ -83,7 +83,7 @@ class AdmissionDecision(NamedTuple):
     key: Hashable | None = None
     flow: Hashable = None
     answer_bytes: int = 0
-    """To be charged to the share beside the frame itself, when it is sent in the last class."""
+    """Charged to the share beside the frame itself, when it is sent in the last class."""
 
 
 REFUSED = AdmissionDecision("refuse")
@@ -221,7 +221,7 @@ class ThirdPartyTraffic:
         return len(self.lists.waiting)
 
     def clear(self) -> int:
-        """Forget what waits (the link went down); how many those were."""
+        """Drop all waiting frames (the link went down); return their number."""
         return self.lists.clear()
 
     # -- down

@@ -138,7 +138,7 @@ _KINDS = {
 
 
 class ThirdPartyFrame(NamedTuple):
-    """A frame of another program, as far as it matters here. ``payload`` without trailing zeros."""
+    """Parts of another program's frame that admission looks at. ``payload`` has no trailing zeros."""
 
     frame: Frame
     kind: Kind

@@ -144,7 +144,7 @@ def on_grid(rate_hz: float) -> float:
 
 
 def intended_rate(measured_hz: float) -> float:
-    """The rate that was asked for, of what is measured: up to a tenth is lost on the way. 0 for nothing."""
+    """The requested rate behind a measured one, of which up to a tenth was lost; 0 if nothing comes."""
     if measured_hz < GRID_HZ[0]:
         return 0.0
     return next((hz for hz in GRID_HZ if hz >= 0.9 * measured_hz), measured_hz)

@@ -40,7 +40,7 @@ MAX_WAITING = 254
 
 
 class TurnGate:
-    """Whose turn it is. A turn lasts while something is heard of it, and for ``longest_s`` at most."""
+    """One system at a time has the turn, while it is heard and for at most ``longest_s``."""
 
     __slots__ = ("_ends_at", "_longest_s", "_silence_s", "_since", "_system")
 
@@ -52,7 +52,7 @@ class TurnGate:
         self._ends_at = 0.0
 
     def enter(self, system: int, now: float) -> bool:
-        """A request to this system; whether it has the turn, or takes it since nobody has it."""
+        """Return whether this system has the turn, or takes it because no system has it."""
         running = self.running(now)
         if running is None:
             self.begin(system, now, self._silence_s)
@@ -65,7 +65,7 @@ class TurnGate:
         self._system, self._since, self._ends_at = system, now, now + first_s
 
     def heard(self, system: int, now: float) -> None:
-        """A part of its answer came."""
+        """Extend the turn: a part of its answer came."""
         if system == self.running(now):
             self._ends_at = min(now + self._silence_s, self._since + self._longest_s)
 

@@ -96,7 +96,7 @@ class GoalTable:
         return why
 
     def refuse(self) -> None:
-        """The goal that was asked is not accepted."""
+        """Reject the requested goal."""
         self._asked = None
         self.refused += 1
 

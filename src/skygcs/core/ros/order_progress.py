@@ -81,7 +81,7 @@ Fields = Mapping[str, Any]
 
 
 class GoalError(ValueError):
-    """Why a goal is no order, for the log."""
+    """Why a goal is not an order, for the log."""
 
 
 class End(NamedTuple):
@@ -211,7 +211,7 @@ class OrderProgress:
         return End(ABORTED, f"replaced: {order} was ordered")
 
     def on_time(self, now: float) -> End | None:
-        """To be called a few times a second."""
+        """Return how the goal ended by its time limits; call this a few times a second."""
         if now - self._accepted_at > SETTLE_S:
             self._own_due = 0
         if now - self._heard_at > SILENT_S:

@@ -366,6 +366,6 @@ def _yaw(q: Quaternion) -> float:
 def _unit(q: Quaternion) -> Quaternion:
     norm = math.sqrt(sum(value * value for value in q))
     if not 0.9 <= norm <= 1.1:  # false for NaN
-        raise SetpointError(f"an orientation of length {norm:.3g}, which is none")
+        raise SetpointError(f"an orientation of length {norm:.3g}; a unit quaternion is needed")
     w, x, y, z = q
     return w / norm, x / norm, y / norm, z / norm

@@ -161,7 +161,7 @@ class LinkHealth:
         self._marks: deque[tuple[float, int, int]] = deque(maxlen=int(LOSS_LONGEST_S / MARK_S) + 1)
 
     def heard(self, now: float) -> None:
-        """A frame came."""
+        """Count a frame that came."""
         gap_s = now - self.heard_at
         if gap_s <= self.silent_limit_s:  # a longer one is an outage
             self._gap_s = max(self._gap_s, gap_s)
@@ -266,7 +266,7 @@ class LinkHealth:
 
 
 class Choice(NamedTuple):
-    """Another link is to be used: its channel, and why, in words about the one before."""
+    """A change of the link: the new channel, and why, in words about the old one."""
 
     channel_id: int
     why: str

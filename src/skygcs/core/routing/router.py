@@ -566,7 +566,7 @@ class ParallelChannels:
         self._heard = {}
 
     def forget(self, channel_id: int) -> None:
-        """The channel is gone."""
+        """Forget a channel that is gone."""
         self._heard.pop(channel_id, None)
         self._share.pop(channel_id, None)
         if self.best == channel_id:

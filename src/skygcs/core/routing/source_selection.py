@@ -79,7 +79,7 @@ class SourceSelection:
             self.sources[source] = StateSource(port.id, port.policy.link, None, now, lost_s=lost_s, cost=cost)
 
     def closed(self, channel_id: int) -> None:
-        """The channel is gone."""
+        """Forget a channel that is gone."""
         for state in self.sources.values():
             state.closed(channel_id)
 

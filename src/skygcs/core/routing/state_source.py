@@ -186,7 +186,7 @@ class _Heard:
         self._earliest_from = now
 
     def count(self, frame: Frame, now: float) -> None:
-        """A frame came."""
+        """Count a frame that came."""
         self.heard_at = now
         self.health.heard(now)
         msgid, counts = frame.msgid, self.counts
@@ -334,7 +334,7 @@ class StateSource:
         self._take_over(channel_id, self._heard[channel_id], now, "a ground station's link, which returns its frames")
 
     def closed(self, channel_id: int) -> None:
-        """The channel is gone."""
+        """Forget a channel that is gone."""
         if channel_id == self.present_id:
             self._heard[None] = self._heard.pop(channel_id)
             self.present_id = None
@@ -382,7 +382,7 @@ class StateSource:
         return best_standby(self._standby(), lambda i: self._is_able(i, now))
 
     def to_probe(self, now: float) -> list[int]:
-        """Channels over which a TIMESYNC question is to be sent now: over these it did not hear us."""
+        """Channels over which to send a TIMESYNC request now: the vehicle did not hear us there."""
         return [i for i, heard in self._heard.items() if i is not None and heard.health.probe_due(now)]
 
     def _standby(self) -> dict[int, LinkHealth]:

@@ -208,7 +208,7 @@ class Trajectory:
 
     @property
     def begins_s(self) -> tuple[float, ...]:
-        """When each piece begins."""
+        """Start times of the pieces."""
         return tuple(self._begins_s)
 
     @property

@@ -218,7 +218,7 @@ class TrajectoryClock:
 
     @property
     def begins_at_s(self) -> float:
-        """When a clock that waits for its start begins; else when its present order was given."""
+        """Start time of a clock that waits; else the time of its present order."""
         return self._phases[1].begin if self._state is ClockState.WAITING else self._phases[0].begin
 
     @property

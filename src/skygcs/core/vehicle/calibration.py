@@ -303,7 +303,7 @@ class Calibration:
         self._end("cancelled", "cancelled: the client that gave it is gone", now)
 
     def on_time(self, now: float) -> None:
-        """To be called when ``deadline`` has come; harmless at other times."""
+        """Act on a deadline that has passed; call this at ``deadline``, harmless at other times."""
         if (at := self.deadline) is None or now < at:
             return
         if self.state is CalibrationState.CANCELLING:

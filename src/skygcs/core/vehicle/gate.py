@@ -479,7 +479,7 @@ def _number(value: object) -> float:
 
 
 def _whole(value: object) -> int:
-    """A whole number; -1 for what is none, which no table has."""
+    """A whole number; -1 for anything else, which no table has."""
     number = _number(value)
     return int(number) if math.isfinite(number) else -1
 

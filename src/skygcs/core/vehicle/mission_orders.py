@@ -421,7 +421,7 @@ STANDS_MPS = 0.5
 
 
 class Phase(Enum):
-    """A reason to wait: in words, and the longest wait, s."""
+    """A reason to wait, in words, and the longest wait in seconds."""
 
     EVIDENCE = "it is disarmed, and whether it has landed is not known", 60.0
     """Position and attitude come each two seconds from the slowest profile."""

@@ -265,7 +265,7 @@ class OffboardController:
         self.config = replace(self.config, law=law)
 
     def limit_attitude_delay(self, delay_s: float) -> None:
-        """The guard's largest delay for attitude from now on."""
+        """Set the guard's largest delay for attitude."""
         if self.config.guard.attitude_delay_s != delay_s:
             self.config = replace(self.config, guard=replace(self.config.guard, attitude_delay_s=delay_s))
         self._guard.config = self.config.guard

@@ -57,7 +57,7 @@ FOR_COMPONENTS = "message watch, last, request and send, interval, stream and co
 
 
 def name_problem(name: str) -> str | None:
-    """Why this is no name of a vehicle or group; None if it is one. Names are targets: "1,3", "2-5" and "all" mean
+    """Why this cannot be the name of a vehicle or group; None if it can. Names are targets: "1,3", "2-5" and "all" mean
     something else there; and they are shown on terminals, which obey control characters."""
     if not name.strip():
         return "is empty"

@@ -373,7 +373,7 @@ class Vehicle:
         return slot is not None and now - slot.at <= LANDED_FRESH_S and self._vtol_state in VTOL_ON_ROTORS
 
     def in_air(self, now: float) -> bool | None:
-        """True if it flies, and so would fall; None if that is not known. What drives never does."""
+        """True if it flies, and so could fall; None if that is not known. Never True for a vehicle that drives."""
         landed = self.landed(now)
         return None if landed == "undefined" else landed in AIRBORNE
 
@@ -449,7 +449,9 @@ class Vehicle:
         return Event(kind, self.name, self.sysid, text, data or {})
 
     def on_heartbeat(self, payload: bytes, now: float, frame: Frame | None = None) -> Events:
-        """A heartbeat. ``frame``: put it into its slot if it is the vehicle's own; None: it is in the slot already."""
+        """Take in a heartbeat. ``frame``: it goes into its slot if it is the vehicle's own; None: it is already
+        there.
+        """
         fields = self._decoder.read["HEARTBEAT"](payload)
         origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
         if origin != "own":

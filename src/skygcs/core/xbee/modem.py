@@ -119,7 +119,7 @@ class Heard:
 
     packets: list[ReceivePacket] = field(default_factory=list)
     writes: list[bytes] = field(default_factory=list)
-    """To be written to the port now."""
+    """Bytes to write to the port now."""
     opened: bool = False
     """The module may be given payloads from now on (again)."""
 

@@ -251,7 +251,7 @@ def _trust(host_keys: HostKeys, companion: Companion, expected: str | None) -> N
 def _agreed(shown: str, expected: str | None) -> bool:
     if expected is not None:
         if expected.strip() != shown:
-            raise RefusedError(f"--fingerprint {expected} is another one: nothing was stored")
+            raise RefusedError(f"the host key's fingerprint is not {expected} (--fingerprint): nothing was stored")
         return True
     if not sys.stdin.isatty():
         raise RefusedError("nothing was stored: there is no terminal to ask at; --fingerprint SHA256:… stores it")
@@ -343,9 +343,9 @@ def bundle(
     from skygcs.ext.companions.bring_up.bundle import ARCHITECTURES, PYTHONS, Sources, collect
 
     if arch is not None and arch not in ARCHITECTURES:
-        raise typer.BadParameter(f"--arch {arch}: {', '.join(ARCHITECTURES)}")
+        raise typer.BadParameter(f"--arch {arch} is none of {', '.join(ARCHITECTURES)}")
     if python not in PYTHONS:
-        raise typer.BadParameter(f"--python {python}: {', '.join(PYTHONS)}")
+        raise typer.BadParameter(f"--python {python} is none of {', '.join(PYTHONS)}")
 
     def command() -> int:
         made = collect(

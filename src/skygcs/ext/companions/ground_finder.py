@@ -98,7 +98,7 @@ class GroundFinder:
         }
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Search until cancelled."""
         while True:
             try:
                 await self._browse()
@@ -206,7 +206,7 @@ class GroundAnnouncement:
         self._name = name or socket.gethostname().partition(".")[0] or "ground"
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Search until cancelled."""
         while True:
             try:
                 await self._announce()

@@ -130,7 +130,7 @@ class MirroredControl:
         self._off(reason)
 
     def follow(self, flight: TrajectoryFlight, frame: EnuFrame, number: int) -> None:
-        """A trajectory is to be begun by the order with this number."""
+        """Note that the order with this number begins a trajectory."""
         self.flight, self.frame, self._flight_number = flight, frame, number
 
     def end_flight(self, now: float) -> None:

@@ -41,7 +41,7 @@ MAX_NUMBER = 1 << 53
 
 @dataclass(frozen=True, slots=True)
 class Fresh:
-    """To be carried out; `OrderBook.ended` is to be called with its outcome."""
+    """The order has to be carried out; call `OrderBook.ended` with its outcome."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Nothing is to be done."""
+    """The order must not be carried out."""
 
     why: str
 

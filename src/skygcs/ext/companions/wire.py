@@ -147,7 +147,7 @@ def clock_order_json(order: ClockOrder) -> Json:
 def clock_order_from(values: object) -> tuple[int, ClockOrder]:
     """The order and its number. Raises RefusedError."""
     if not isinstance(values, Mapping):
-        raise RefusedError("an order to a clock has number, order and at_s")
+        raise RefusedError("a clock order needs number, order and at_s")
     kinds: tuple[ClockOrderKind, ...] = get_args(ClockOrderKind)
     kind = next((kind for kind in kinds if kind == values.get("order")), None)
     number, speed_factor = values.get("number"), _number(values, "speed_factor")
@@ -177,11 +177,11 @@ def origin_from(values: Mapping[str, Any] | None) -> Origin | None:
 
 def _place(values: object) -> GeodeticPosition:
     if not isinstance(values, Mapping):
-        raise RefusedError("a place has lat_deg, lon_deg and alt_amsl_m")
+        raise RefusedError("a place needs lat_deg, lon_deg and alt_amsl_m")
     found = [_number(values, key) for key in ("lat_deg", "lon_deg", "alt_amsl_m")]
     lat_deg, lon_deg, alt_m = found
     if lat_deg is None or lon_deg is None or alt_m is None or abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
-        raise RefusedError("a place has lat_deg, lon_deg and alt_amsl_m, on earth")
+        raise RefusedError("a place needs lat_deg, lon_deg and alt_amsl_m, within ±90 and ±180 degrees")
     return GeodeticPosition(lat_deg, lon_deg, alt_m)
 
 

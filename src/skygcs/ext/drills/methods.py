@@ -14,12 +14,8 @@ from skygcs.sim.drills import FaultName
 
 
 class DrillBeginParams(TargetsParams):
-    fault: FaultName = Field(
-        description="deaf: nothing sent to it arrives; link: nothing in either direction; gps; battery; wind."
-    )
-    value: float | None = Field(
-        None, description="battery: its charge in percent (8); wind: from the west, in m/s (8); null: the default."
-    )
+    fault: FaultName = Field(description="deaf: nothing sent to it arrives; link: nothing in either direction.")
+    value: float | None = Field(None, description="battery: charge in percent (8); wind: from the west, in m/s (8).")
 
 
 class DrillEndParams(TargetsParams):
@@ -54,7 +50,7 @@ class DrillsStatus(Result):
 
 
 async def drills_begin(context: Context, params: DrillBeginParams) -> JsonObject:
-    """Begin a fault in vehicles on links of type simulated, until it is ended; an active one gets the new value."""
+    """Begin a fault in simulated vehicles, until it is ended; an active one gets the new value."""
     drills = context.services.extensions["drills"]
     return as_json(drills.begin(context.services.fleet.resolve(params.targets), params.fault, params.value))
 

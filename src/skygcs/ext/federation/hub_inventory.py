@@ -116,7 +116,7 @@ class HubInventory(Model):
 
     @property
     def local_host(self) -> str:
-        """Where the hub's own computer reaches it."""
+        """Address at which the hub's own computer reaches it."""
         return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
 
     @property

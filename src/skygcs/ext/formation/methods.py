@@ -28,11 +28,11 @@ class FormationStartParams(TargetsParams):
     """Take the vehicles under control where they are not, and fly to their places about the leader."""
 
     shape: Literal["current", "line", "column", "v", "circle", "grid"] = Field(
-        "current", description="current: each keeps its place beside the others."
+        "current", description="current: each keeps its place."
     )
     spacing_m: Annotated[float, Field(gt=0, le=1000)] = Field(8.0, description="Between neighbours of a shape.")
     heading_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
-        None, description="Where it looks, counter-clockwise from the frame's x axis; null: along it."
+        None, description="Heading, counter-clockwise from the frame's x axis; null: along it."
     )
     leader: str | None = Field(None, description="The vehicle that leads, which is no target; null: a virtual point.")
     at_enu_m: Place | None = Field(None, description="Where its middle is to be; null: where the vehicles are.")
@@ -46,7 +46,7 @@ class FormationMoveParams(MethodParams):
         None, description="[x, y, up] along the fleet's axes."
     )
     speed_mps: Annotated[float, Field(gt=0, le=15)] | None = Field(
-        None, description="To a place; null: speed_mps of [formation], which is also the most."
+        None, description="To a place, at most speed_mps of [formation], the default."
     )
     valid_s: Annotated[float, Field(ge=0.1, le=LONGEST_FLY_S)] = Field(
         10.0, description="A velocity ends by itself after so long."
@@ -125,10 +125,9 @@ def formation_guide(context: Context, params: FormationGuideParams) -> JsonObjec
 
 
 async def formation_start(context: Context, params: FormationStartParams) -> JsonObject:
-    """Fly several vehicles as a formation about a leader: a virtual point, or a vehicle.
+    """Fly vehicles as a formation about a leader: a virtual point, or a vehicle.
 
-    Vehicles are taken under position control first; a formation that flies already gets new places
-    (docs/howto/formation.md).
+    Takes them under position control first; a formation in flight gets new places (docs/howto/formation.md).
     """
     heading = None if params.heading_deg is None else math.radians(params.heading_deg)
     at = None if params.at_enu_m is None else vector(params.at_enu_m)

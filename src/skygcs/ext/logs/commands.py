@@ -456,7 +456,7 @@ def selection(
     )
     begin_, end_ = chosen.begin, chosen.end
     if begin_ is not None and end_ is not None and type(begin_) is type(end_) and end_ < begin_:
-        raise typer.BadParameter("--from and --to: not a span of time")
+        raise typer.BadParameter("--to must be later than --from")
     return chosen
 
 

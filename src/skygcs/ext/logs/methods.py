@@ -45,7 +45,7 @@ async def recordings_list(context: Context, _: NoParams) -> JsonObject:
 
 
 async def recordings_replay(context: Context, params: ReplayParams) -> JsonObject:
-    """Replay a recording on a page of its own, in place of another; at most four hours."""
+    """Replay a recording on a page of its own, in place of another, for at most four hours."""
     page: dict[str, Any] = await context.services.extensions["recordings"].replay(params.name)
     return page
 

@@ -35,7 +35,7 @@ def plot(
     if path.suffix.lower() not in PLOT_SUFFIXES:
         raise typer.BadParameter(f"--output: {path.name!r} ends neither in .png nor in .svg")
     if begin_s < 0 or (end_s is not None and end_s <= begin_s):
-        raise typer.BadParameter("--from and --to: not a span of time")
+        raise typer.BadParameter("--to must be later than --from")
 
     def command() -> None:
         from skygcs.ext.logs.trace_figures import figures_line

@@ -94,7 +94,7 @@ def parse_line(line: bytes) -> CaptureFrameData | CaptureState | None:
 
 
 def frames_of(lines: Iterable[bytes]) -> Iterable[CaptureFrameData]:
-    """The frames of a recording, in order. Raises ValueError with the number of the first line that is none."""
+    """The frames of a recording, in order. Raises ValueError with the number of the first invalid line."""
     before = -math.inf
     for number, line in enumerate(lines, start=1):
         if not line.strip():

@@ -31,7 +31,7 @@ Work = Callable[..., Awaitable[Any]]
 
 
 class Rehearsed(NamedTuple):
-    """Parts that a flight is made of."""
+    """A prepared flight, its trajectories, and how its rehearsal ended."""
 
     prepared: Prepared
     loaded: tuple[dict[str, LoadedTrajectory], ...]

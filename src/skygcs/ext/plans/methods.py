@@ -24,9 +24,9 @@ SpeedFactor = Annotated[float, Field(ge=MIN_SPEED_FACTOR, le=MAX_SPEED_FACTOR)]
 
 class PlanUploadParams(MethodParams):
     part: Annotated[str, Field(min_length=1, max_length=MAX_PART_CHARS)] = Field(
-        description="The next part of the text of a plan's JSON file, at most 400,000 characters."
+        description="The next part of a plan's JSON file, at most 400,000 characters."
     )
-    upload: int | None = Field(None, description="What the first part answered; null: this is the first.")
+    upload: int | None = Field(None, description="What the first part returned; null: this is the first.")
 
 
 class PlanUploaded(Result):
@@ -53,10 +53,10 @@ class PlanLoadParams(MethodParams):
 
 
 class PlanFlightParams(MethodParams):
-    plan: str | None = Field(None, description="What plan.load answered; null: the plan that is loaded.")
+    plan: str | None = Field(None, description="What plan.load returned; null: the loaded plan.")
     vehicles: dict[str, Target] | None = Field(
         None,
-        description="Names in the plan and their vehicles; others do not fly. null: all, by name.",
+        description="By name in the plan: its vehicle; others do not fly. null: all, by name.",
     )
     mode: Literal["position", "velocity", "attitude"] = Field("position", description="The control mode.")
     speed: SpeedFactor = Field(1.0, description="Multiple of the planned speed; certified with it.")
@@ -83,8 +83,8 @@ class PlanSpeedParams(MethodParams):
 class PlanForceParams(MethodParams):
     force: bool = Field(
         False,
-        description="Without what a certificate asks for; resume: also with silent vehicles and those that "
-        "pilots fly, where they were measured.",
+        description="Without a certificate; resume: also with silent vehicles and those that pilots fly, where "
+        "they were measured.",
     )
 
 
@@ -217,9 +217,9 @@ async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
 
 
 async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
-    """Check the plan, and fly it if the check passes: arm, take off in layers, fly to the starts, begin together.
+    """Check the plan; if it passes, arm, take off in layers, fly to the starts and begin together.
 
-    Answered when vehicles begin to arm; the daemon flies on without the client.
+    Answered when vehicles begin to arm; the daemon goes on without the client.
     """
     started, report = await plans_of(context.services).runner.run(
         _request(params), set_return_heights=params.set_return_heights
@@ -235,8 +235,8 @@ def plan_pause(context: Context, _: NoParams) -> JsonObject:
 async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
     """Go on after a pause or a stop.
 
-    Where all are at their places the clock goes on; else a way back and the rest are certified anew. Vehicles that
-    landed are out of it.
+    Where all are at their places it goes on; else a way back and the rest are certified first, without vehicles that
+    landed.
     """
     ok, message, reasons = await plans_of(context.services).runner.resume(force=params.force)
     return {"ok": ok, "message": message, "reasons": reasons}
@@ -248,14 +248,13 @@ def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
 
 
 def plan_abort(context: Context, _: NoParams) -> JsonObject:
-    """Stop all for good, then order each to hold; those that only stand armed are disarmed."""
+    """Stop all for good, and order each to hold; those that stand armed are disarmed."""
     return _done(plans_of(context.services).runner.abort())
 
 
 def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
-    """Stop all, then land them where they are: at once, or the lowest first, as a certificate allows it.
-
-    Where none does, they stay.
+    """Stop all, then land them where they are: at once, or the lowest first, as a certificate allows it. Without one
+    they stay.
     """
     return _done(plans_of(context.services).runner.land(force=params.force))
 

@@ -453,7 +453,7 @@ class PlanRunner:
     # -- time
 
     def tick(self) -> None:
-        """Five times a second."""
+        """Watch the flight; called five times a second."""
         if self.flight is not None and not self.flight.execution.over:
             self._orders.tick(self.flight)
 

@@ -126,8 +126,8 @@ class CertifyParams(MethodParams):
     downwash_ratio: float | None = Field(None, description="null: the fleet file's.")
     limits: LimitsParams | None = Field(
         None,
-        description="speed_mps, acceleration_mps2, jerk_mps3, climb_mps, descent_mps: for timing; null: "
-        "each vehicle's own of the fleet file (control.trajectory).",
+        description="For timing: speed_mps, acceleration_mps2, jerk_mps3, climb_mps, descent_mps; null: each "
+        "vehicle's control.trajectory.",
     )
     within_limits: bool = Field(False, description="Refuse trajectories that exceed the limits.")
     space: SpaceParams | None = Field(
@@ -157,7 +157,7 @@ class PlanMakeParams(CertifyParams):
     exchangeable: bool = Field(False, description="Any vehicle may take any goal.")
     by: Literal["auto", "goto", "setpoints", "onboard", "mission"] = Field(
         "auto",
-        description="How plan.run is to fly it; goto: phased, with the margins of autopilots' own ways.",
+        description="How plan.run is to fly it; goto: phased, with the autopilots' own margins.",
     )
     kind: Literal["auto", "timed", "phased", "direct"] = Field(
         "auto", description="Only plans of this kind; direct: all fly straight at once."
@@ -234,7 +234,7 @@ class PlanCancelled(Result):
 
 
 async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
-    """Search a certified plan for vehicles: to positions, into a formation, or along written paths. Nothing moves.
+    """Search a certified plan: to positions, into a formation, or along paths. Nothing moves.
 
     If some stand on the ground, the plan begins with a climb. Without a fence or ceiling in space the control fences
     count.
@@ -265,7 +265,7 @@ async def plan_make(context: Context, params: PlanMakeParams) -> Encoded:
 
 
 async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
-    """Certify a plan or refuse it, with the fleet's margins and its other vehicles as obstacles. Nothing moves."""
+    """Certify a plan or refuse it, with the fleet's margins, and other vehicles as obstacles. Nothing moves."""
     facts = _Facts(context.services, params)
     space = facts.space(())  # those that take part are taken out by the process, which reads the plan
     text = b"" if params.upload is None else plans_of(context.services).runner.uploads.take(params.upload, facts.now())
@@ -276,7 +276,7 @@ async def plan_certify(context: Context, params: PlanCertifyParams) -> Encoded:
 
 
 def plan_cancel(context: Context, params: PlanCancelParams) -> JsonObject:
-    """Cancel a request to plan: this client's, or the one of a number. It is answered as refused."""
+    """Cancel a request to plan, which is then answered as refused."""
     queue = plans_of(context.services).queue
     return {"cancelled": queue.cancel(client=id(context), number=params.job)}
 

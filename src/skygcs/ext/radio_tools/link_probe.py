@@ -145,7 +145,7 @@ class LinkProbe:
         return sum(way.duplicates for way in self._ways)
 
     def feed(self, end: int, data: bytes, now: float) -> None:
-        """Take what was read at an end. Frames that are none of this measurement are passed over."""
+        """Take what was read at an end. Frames of other measurements are skipped."""
         for frame in self._parsers[end].feed(data):
             payload = frame.payload
             if frame.info is not self._info or len(payload) < _HEAD.size:

@@ -71,7 +71,7 @@ class RosConfig(Model):
 
 
 def _check_peer(peer: str) -> None:
-    """Raises ValueError for what is no address: it becomes part of an XML text."""
+    """Raises ValueError for anything but an address: it becomes part of an XML text."""
     try:
         ipaddress.ip_address(peer)
     except ValueError:

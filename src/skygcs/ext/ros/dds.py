@@ -183,7 +183,7 @@ class Service:
 
     @property
     def rejected(self) -> int:
-        """Requests that were none."""
+        """Number of malformed requests."""
         return self.requests.rejected
 
     def _on_request(self, data: bytes, sent_ns: int) -> None:

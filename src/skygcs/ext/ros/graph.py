@@ -53,7 +53,7 @@ class ServicePort(Protocol):
 
     @property
     def rejected(self) -> int:
-        """Requests that were none."""
+        """Number of malformed requests."""
         ...
 
 
@@ -117,6 +117,6 @@ class SharedTopics:
         self._log.write(entry)
 
     def diagnose(self, now_ns: int, status: list[dict[str, Any]]) -> None:
-        """The state of everything, at once."""
+        """Publish the state of all vehicles as one message, if somebody reads it."""
         if self._diagnostics.wanted:
             self._diagnostics.write({"header": header(now_ns), "status": status})

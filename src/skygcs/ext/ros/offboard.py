@@ -82,7 +82,7 @@ class Offboard:
         """GUIDED: it waits for setpoints."""
 
     def on_demand(self, demand: Demand, now: float) -> None:
-        """A setpoint that came."""
+        """Take in a setpoint."""
         self._demand, self._demand_at = demand, now
 
     def on_proof(self, now: float) -> None:

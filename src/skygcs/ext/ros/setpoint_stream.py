@@ -95,7 +95,7 @@ class SetpointStream:
         self._pair.on_thrust(fields, self._clock())
 
     def reader(self, convert: Callable[[Mapping[str, Any], LocalFrame], Demand]) -> Callable[[dict[str, Any]], None]:
-        """Return what takes a topic's messages as setpoints; ``convert`` raises SetpointError for one that is none."""
+        """Return what takes a topic's messages as setpoints; ``convert`` raises SetpointError for an invalid one."""
 
         def on_message(fields: dict[str, Any]) -> None:
             try:
@@ -131,7 +131,7 @@ class SetpointStream:
         return {"ATTITUDE_QUATERNION" if has_quaternion else "ATTITUDE": ATTITUDE_HZ}
 
     def take(self, demand: Demand) -> None:
-        """A setpoint that came."""
+        """Take in a setpoint."""
         came_at = self._clock()
         self.offboard.on_demand(demand, came_at)
         control = self._vehicle.state.get("control")

@@ -79,7 +79,7 @@ class VehicleControl:
         return 0 if self._px4_commands is None else self._px4_commands.rejected
 
     def on_state(self) -> None:
-        """A state of the vehicle has come."""
+        """Take in a state of the vehicle."""
         if self._services is not None:
             self._services.on_state()
         if self.actions is not None:

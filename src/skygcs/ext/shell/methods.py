@@ -96,7 +96,7 @@ def _keeper(context: Context) -> ShellKeeper:
 def shell_open(context: Context, params: ShellOpenParams) -> JsonObject:
     """Open the console of a PX4: a new shell, whose prompt comes with shell.read.
 
-    For one client, with whom it ends. Refused without force for a vehicle that is not known to be disarmed.
+    It ends with its client. Refused without force for a vehicle that is not known to be disarmed.
     """
     return _keeper(context).open(context, params.vehicle, force=params.force)
 

@@ -89,7 +89,7 @@ def test_names_come_from_the_fleet_file(flight: Path, tmp_path: Path) -> None:
         (["--from", "soon"], "neither seconds"),
         (["--from", "-1"], "not a number of seconds"),
         (["--from", "nan"], "not a number of seconds"),
-        (["--from", "20", "--to", "10"], "not a span of time"),
+        (["--from", "20", "--to", "10"], "must be later"),
     ],
 )
 def test_a_wrong_option_is_a_usage_error_that_says_which(

@@ -35,7 +35,7 @@ class Known:
 
 
 class HostKeys:
-    """The two files, read when this is made. Raises ConfigError for a file that cannot be read or has a wrong line."""
+    """The two files, read at construction. Raises ConfigError for a file that cannot be read or has a wrong line."""
 
     def __init__(self, fleet_folder: Path, users_file: Path | None = None) -> None:
         self.path = fleet_folder / FILE_NAME

@@ -308,7 +308,7 @@ class LogCollector:
         except ValueError:
             found = None
         if not isinstance(found, dict):
-            raise SkygcsError(f"{site} sent what is no answer")
+            raise SkygcsError(f"{site} sent an answer that cannot be read")
         if "error" in found:
             raise SkygcsError(printable(str(found["error"]), 300))
         return found

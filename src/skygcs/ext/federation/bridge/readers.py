@@ -242,7 +242,7 @@ class Readers:
 
 
 def _site_of(subject: str) -> str | None:
-    """The second token of a subject; None if it is no name of a site."""
+    """The second token of a subject; None if it is not the name of a site."""
     tokens = subject.split(".")
     return tokens[1] if len(tokens) > 1 and SITE_NAME.fullmatch(tokens[1]) else None
 

@@ -52,7 +52,7 @@ class BridgeState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BridgeClaim:
-    """Claim of a bridge about itself. ``active_since_unix_s``: inf unless it is active. ``host``, ``pid``: for
+    """A bridge's claim about itself. ``active_since_unix_s``: inf unless it is active. ``host``, ``pid``: for
     people."""
 
     run: str

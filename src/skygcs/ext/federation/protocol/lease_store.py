@@ -50,7 +50,7 @@ class LeaseStore:
             del self._highest[next(iter(self._highest))]
 
     def question(self) -> StoreQuestion:
-        """To be made before the store is asked, or written; pass it on with the answer."""
+        """Make it before the store is read or written; pass it on with the answer."""
         return StoreQuestion(self.name, self._highest.get(self.name, 0))
 
     def found(self, question: StoreQuestion, identity: str, last_revision: int, now: float) -> bool:

@@ -136,7 +136,7 @@ class _OpenFlight:
         self._track = Track(TRACK_POINTS)
 
     def charged(self, now: float, vehicle: VehicleFlight) -> None:
-        """A battery message has come."""
+        """Take in a battery message."""
         percent, volts = vehicle.percent.newest, vehicle.volts.newest
         if percent is not None:
             self._percent.add(now, percent)
