@@ -16,11 +16,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulated-firmware.md
 
 INTRODUCTION = """# What the simulated firmwares do
 
-Values that the simulated vehicles take from a firmware. `skygcs.sim.behaviours`, of which this page is made, has
-the place in the firmware's source beside each, and whether it was measured with that firmware's own simulator; result
-codes, gains, times of flights and other lists of numbers are there alone. A value in brackets is what the simulator
-does instead. `tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real
-firmware.
+Values that the simulated vehicles take from a firmware; a value in brackets is what the simulator does instead.
+`skygcs.sim.behaviours`, of which this page is made, names the place in the firmware's source, and what was measured.
+`tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real firmware.
 
 """
 

@@ -24,15 +24,14 @@ DIALECT = "ardupilotmega"
 INTRODUCTION = """# The outgoing gate
 
 Everything that skygcs itself sends to a vehicle passes one gate (`skygcs.core.vehicle.gate`): orders, parameters,
-missions, fences, calibration, and what a client sends with `messages.send` and `vehicles.command`. Frames of
-third-party programs that are forwarded have roles and filters of their links instead. `skygcs-cli gate` prints the
-same as tables, `--json` for programs.
+missions, fences, calibration, and a client's `messages.send` and `vehicles.command`. Forwarded frames of third-party
+programs have roles and filters of their links instead. `skygcs-cli gate` prints the same as tables.
 
 The gate is an allow list. A vehicle counts as disarmed only while it is heard, alone with its system id, its heartbeat
-shows it disarmed and no telemetry contradicts that. *Harmless* passes always, *refused* never; *needs force* needs
-`--force`, and *only disarmed* needs it for a vehicle that does not count as disarmed.
+shows it disarmed and no telemetry contradicts that. *Harmless* passes always, *refused* never. *Needs force* needs
+`--force`; so does *only disarmed* for a vehicle that does not count as disarmed.
 
-An order has checks of its own, and may send only what its row names. What no row and no list names is *only disarmed*.
+An order may send only what its row names. What no row and no list names is *only disarmed*.
 
 """
 
