@@ -100,7 +100,7 @@ class _Reloader:
         self._requested.set()
 
     async def run(self) -> None:
-        """Search until cancelled."""
+        """Reload the fleet file at each request, until cancelled."""
         log = import_structlog().get_logger("skygcs")
         await self._daemon.ready.wait()
         while self._load is not None:

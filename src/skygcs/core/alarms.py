@@ -369,7 +369,7 @@ class Alarm:
 
     @property
     def open(self) -> bool:
-        """Nobody has acknowledged it."""
+        """True until somebody acknowledges it."""
         return self.acknowledged_by is None
 
     def as_dict(self) -> dict[str, Any]:

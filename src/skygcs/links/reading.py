@@ -103,7 +103,7 @@ class ReadingTurns:
         self._open[reader] = _Open(descriptor, waiting, kept)
 
     def remove(self, reader: Hashable) -> None:
-        """It closes, before its descriptor does. Idempotent."""
+        """Forget a reader that closes; call this before its descriptor is closed. Idempotent."""
         self._open.pop(reader, None)
         self.stale.pop(reader, None)
 

@@ -61,7 +61,7 @@ class SimulatedChannel(Channel):
         return True
 
     def close(self) -> None:
-        """Nothing is sent after this. Idempotent."""
+        """Stop sending. Idempotent."""
         self._vehicles = None
 
 
@@ -117,7 +117,7 @@ class SimulatedRadioChannel(QueuedChannel):
         return taken
 
     def close(self) -> None:
-        """Nothing is sent after this. Idempotent."""
+        """Stop sending. Idempotent."""
         self._radio = None
         self.tx_dropped += self._line.clear()
         if self._timer is not None:

@@ -167,7 +167,7 @@ class OrderReports:
         self._client.notify(BEGUN, {"request": self.request_id, "vehicles": list(vehicles)})
 
     def ended(self, vehicle: str, outcome: Outcome) -> None:
-        """The order has ended for one vehicle."""
+        """Report that the order has ended for one vehicle."""
         self.ended_with(vehicle, outcome.as_dict())
 
     def ended_with(self, vehicle: str, outcome: JsonObject) -> None:

@@ -548,7 +548,7 @@ class Sessions:
 
     @property
     def sessions(self) -> list[Session]:
-        """All that are open."""
+        """All open sessions."""
         return [*self._placed, *self._reserve, *self._unauthenticated]
 
     def admit(self, session: Session) -> None:
@@ -580,7 +580,7 @@ class Sessions:
         return True
 
     def remove(self, session: Session) -> None:
-        """The session has ended. Idempotent."""
+        """Forget a session that has ended. Idempotent."""
         for group in (self._placed, self._reserve, self._unauthenticated):
             group.pop(session, None)
         self._look_for_free()

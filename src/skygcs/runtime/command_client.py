@@ -378,7 +378,7 @@ class CommandClient:
             running.protocol.on_text(text)
 
     def wake(self) -> None:
-        """The vehicle's state may have changed."""
+        """Look again, as the vehicle's state may have changed."""
         for met, future, _ in self._watches:
             if not future.done() and met():
                 future.set_result(True)

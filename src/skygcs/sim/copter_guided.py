@@ -40,7 +40,7 @@ class GuidedTargets:
         """The place that it flies to and reports (SubMode::Pos), if its target is nothing but a place."""
 
     def forget(self) -> None:
-        """Another mode has come instead (ModeGuided::init)."""
+        """Forget the target, as another mode has come instead (ModeGuided::init)."""
         self.velocity = self.place_enu_m = None
 
     def go_to(self, v: VehicleState, east_m: float, north_m: float, up_m: float) -> None:

@@ -84,7 +84,7 @@ class MissionRun(ABC):
 
     @abstractmethod
     def finish(self, v: MissionVehicle, now: float) -> None:
-        """There is no item left."""
+        """End the mission: there is no item left."""
 
     @abstractmethod
     def land_mps(self, v: MissionVehicle) -> float: ...

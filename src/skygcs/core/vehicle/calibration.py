@@ -299,7 +299,7 @@ class Calibration:
         self._end("lost", text, now)
 
     def give_up(self, now: float) -> None:
-        """Nobody waits for it any more."""
+        """End it, as nobody waits for it any more."""
         self._end("cancelled", "cancelled: the client that gave it is gone", now)
 
     def on_time(self, now: float) -> None:

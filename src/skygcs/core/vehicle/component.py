@@ -79,7 +79,7 @@ class Component:
         return max((slot.at for slot in (*self.slots.values(), self.others)), default=0.0)
 
     def count(self, message: str) -> int:
-        """How often a message has come."""
+        """Number of messages of one name that have come."""
         slot = self.slots.get(self._decoder.msgid_of(message))
         return 0 if slot is None else slot.count
 

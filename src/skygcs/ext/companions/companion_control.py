@@ -415,7 +415,7 @@ class CompanionControl:
         }
 
     async def settled(self) -> None:
-        """Nothing has to be undone here."""
+        """Do nothing: nothing has to be undone here."""
 
     def close(self, reason: str) -> None:
         """The ground's daemon ends: the companion goes on, until it finds the ground lost."""

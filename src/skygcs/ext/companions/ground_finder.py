@@ -206,7 +206,7 @@ class GroundAnnouncement:
         self._name = name or socket.gethostname().partition(".")[0] or "ground"
 
     async def run(self) -> None:
-        """Search until cancelled."""
+        """Announce until cancelled."""
         while True:
             try:
                 await self._announce()

@@ -83,7 +83,7 @@ class HandshakeLimits:
         return True
 
     def end(self, host: str) -> None:
-        """A handshake has ended, well or not."""
+        """Count a handshake that has ended, well or not."""
         self._open[host] -= 1
         if self._open[host] <= 0:
             del self._open[host]

@@ -141,7 +141,7 @@ class _Life:
         self._fd = fd
 
     def on_ready(self) -> None:
-        """The port has bytes, or has gone."""
+        """Read the port, which has bytes or has gone."""
         try:
             self._read()
         except Exception as error:

@@ -136,7 +136,7 @@ class MocapFeed:
             self.capture.close()
 
     def close(self) -> None:
-        """Nothing is sent after this."""
+        """Stop sending."""
         self.capture.close()
         if self._origins is not None:
             self._origins.close()

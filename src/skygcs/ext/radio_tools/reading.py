@@ -108,7 +108,7 @@ def connect(bauds: Sequence[int]) -> Generator[Step, Reply, int]:
         reply = yield from enter()
         if reply.status is Status.OK:
             return baud
-        heard = "silence" if not reply.heard_bytes else f"{reply.heard_bytes} bytes that are no answer"
+        heard = "silence" if not reply.heard_bytes else f"{reply.heard_bytes} bytes that are not an answer"
         tried.append(f"{baud} baud: {heard}")
     left = [str(baud) for baud in LIKELY_BAUD if baud not in bauds]
     rates = f" Or has it another rate? Not tried: {', '.join(left)} (--baud)." if left else ""

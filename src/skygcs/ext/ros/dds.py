@@ -187,9 +187,9 @@ class Service:
         return self.requests.rejected
 
     def _on_request(self, data: bytes, sent_ns: int) -> None:
-        """Raises InterfaceError for bytes that are no request of this service."""
+        """Raises InterfaceError for bytes that are not a request of this service."""
         if len(data) < 4 + SERVICE_HEADER.size:
-            raise InterfaceError(f"{self.name}: {len(data)} bytes are no request")
+            raise InterfaceError(f"{self.name}: {len(data)} bytes are not a request")
         client, sequence = SERVICE_HEADER.unpack_from(data, 4)
         if not 0 < sequence < MOST_SEQUENCE:
             raise InterfaceError(f"{self.name}: a request of another layer of ROS than rmw_cyclonedds")

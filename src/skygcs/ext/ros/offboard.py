@@ -86,7 +86,7 @@ class Offboard:
         self._demand, self._demand_at = demand, now
 
     def on_proof(self, now: float) -> None:
-        """offboard_control_mode came."""
+        """Take in an offboard_control_mode."""
         self._proof_at = now
 
     def wish_guided(self) -> None:

@@ -38,7 +38,7 @@ class Px4Topics:
             self._publish(sample)
 
     def on_lost(self) -> None:
-        """It is not heard any more."""
+        """Take note that the vehicle is not heard any more."""
         self.memory = self.memory.after_loss()
 
     def wanted_messages(self) -> set[str]:

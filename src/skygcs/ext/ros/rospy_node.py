@@ -157,7 +157,7 @@ class RospyService:
         self._node.send({"do": "answer", "call": call}, data, drop=False)
 
     def close(self) -> None:
-        """Nothing is carried out any more."""
+        """Stop carrying out requests."""
         for task in self.tasks:
             task.cancel()
 

@@ -158,7 +158,7 @@ class Program:
             self._serve(head)
 
     def count_readers(self) -> None:
-        """Tell whose number of readers has changed."""
+        """Report topics whose number of readers has changed."""
         for number, (publisher, _, _) in list(self._publishers.items()):
             count = publisher.get_num_connections()
             if count != self._counts.get(number, 0):
@@ -231,7 +231,7 @@ class Call:
         self._response: bytes | None = None
 
     def end(self, response: bytes) -> None:
-        """The answer has come."""
+        """End the wait for the answer."""
         self._response = response
         self._ended.set()
 

@@ -60,7 +60,7 @@ class VehicleTopics:
         self._shared.log(log_entry(self._logger, severity, text, now_ns))
 
     def on_lost(self, now_ns: int) -> None:
-        """It is not heard any more."""
+        """Take note that the vehicle is not heard any more."""
         if self.connected:
             self.connected = False
             self.memory = self.memory.after_loss()

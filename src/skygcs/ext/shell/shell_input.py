@@ -147,7 +147,7 @@ class ShellInput:
         self._changed_at = now
 
     def on_output(self, data: bytes, now: float) -> None:
-        """Bytes of the shell have come."""
+        """Take in bytes of the shell."""
         self._changed_at = now
         self._tail = (self._tail + data)[-TAIL_BYTES:]
         if PROMPT.search(self._tail) is not None:

@@ -66,7 +66,7 @@ def test_the_rate_is_found() -> None:
 
 
 def test_a_wrong_rate_is_told_from_silence() -> None:
-    with pytest.raises(LinkError, match=r"57600 baud: \d+ bytes that are no answer.*another rate"):
+    with pytest.raises(LinkError, match=r"57600 baud: \d+ bytes that are not an answer.*another rate"):
         Cable(AtRadio(saved={1: 115}), TELEMETRY).run(look(Visit(), USUAL, None))
     with pytest.raises(LinkError, match=r"57600 baud: silence.*is it powered"):
         Cable(AtRadio(faults=Faults(silent=True))).run(look(Visit(), USUAL, None))

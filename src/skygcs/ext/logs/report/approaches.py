@@ -63,7 +63,7 @@ class Approaches:
         self._legs.setdefault(key, deque(maxlen=LEGS)).append(leg)
 
     def left(self, key: VehicleKey) -> None:
-        """It flies no longer."""
+        """Forget a vehicle that flies no longer."""
         self._newest.pop(key, None)
         self._legs.pop(key, None)
 

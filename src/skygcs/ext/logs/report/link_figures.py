@@ -64,7 +64,7 @@ class Sources:
         stats.on_frame(frame.seq, size, now)
 
     def resume(self) -> None:
-        """Nothing was recorded for a while."""
+        """Go on after a while without a recording."""
         for stats in self._stats.values():
             stats.resume()
 

@@ -165,5 +165,5 @@ class GotoLegs:
                 leg.state = LegState.DUE
 
     def end(self) -> None:
-        """Nothing is sent any more."""
+        """Stop sending."""
         self._state = ClockState.ABORTED
