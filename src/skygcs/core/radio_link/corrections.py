@@ -118,7 +118,7 @@ class CheckAllowance:
         self._left = min(self._left + CHECKED_PER_BYTE * size, max(CHECKED_SAVED, CHECKED_PER_BYTE * held))
 
     def take(self, size: int) -> bool:
-        """Whether a checksum over so many bytes may be computed; if so, it is counted."""
+        """Take so many bytes from it; False if they are not there, and no checksum over them is to be computed."""
         allowed = self._left >= size
         self._left -= size * allowed
         return allowed
