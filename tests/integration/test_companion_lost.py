@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.errors import RpcError
 from skygcs.ext.companions.mirrored_control import REPORTS_SILENT_S
+from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.companion_pair import Pair, circle, companion_pair, start_circle
@@ -56,6 +58,22 @@ async def test_without_the_ground_it_ends_as_configured(tmp_path: Path, action: 
         assert not pair.pi.setpoints(quiet + 1.2), "until a heartbeat shows the order's mode it is held"
         assert len(lost_texts(pair)) == 1, lost_texts(pair)
         assert pair.pi.is_safe()
+
+
+async def test_a_companion_that_refuses_the_grounds_contact_is_named_with_its_reason(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path) as pair:
+        call = pair.calls.call
+
+        async def older(method: str, params: dict[str, Any] | None = None, timeout_s: float = 5.0) -> Any:
+            if method == "companion.contact":
+                raise RpcError(INVALID_PARAMS, "invalid params: compid: unknown")
+            return await call(method, params, timeout_s)
+
+        pair.calls.call = older  # type: ignore[method-assign]
+        await asyncio.sleep(REPORTS_SILENT_S + 1.0)
+        refused = await pair("control.set", targets="v1", mode="position")
+        message = refused["outcomes"]["v1"]["message"]
+        assert "has not answered for" in message and "invalid params: compid: unknown; is its skygcs another" in message
 
 
 @pytest.mark.deep  # a whole trajectory and a return; the table is held in unit/ext/companions

@@ -312,19 +312,21 @@ class XBeeLink(Link):
         self.pump()
 
     def _take(self, heard: Heard) -> None:
-        for write in heard.writes:
-            self._write(write)
+        if heard.questions:
+            self.drop_unwritten()
+            self._write(b"".join(heard.questions))
         for packet in heard.packets:
             channel = self._nodes.get(packet.address) or self._new_node(packet.address)
             if channel is None:
                 self._refused += 1
             else:
+                self.modem.admit(packet.address)
                 channel.intake.feed(packet.payload)
         if self.modem.parser.pending:
             self._at("silence", RESCUE_AFTER_S, self._on_silence)
         elif (timer := self._timers.pop("silence", None)) is not None:
             timer.cancel()
-        if heard.opened or heard.writes:
+        if heard.opened or heard.questions:
             self._look_at_modem()
 
     def _on_silence(self) -> None:
@@ -376,6 +378,7 @@ class XBeeLink(Link):
 
     def _drop(self, address: int, reason: str) -> None:
         channel = self._nodes.pop(address)
+        self.modem.forget(address)
         channel.close()
         self.host.detach(channel, reason)
 

@@ -7,9 +7,11 @@ updates), events and messages wait in bounded queues; what they lost is counted 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any, Protocol
 
 import structlog
@@ -225,74 +227,77 @@ class TelemetryFeed:
 
 
 class QueuedSubscription:
-    """Encoded events or messages in order, at most QUEUED waiting; the number of dropped ones is sent with the next."""
+    """A client's place in a `QueuedStream`, from ``join`` to ``close``."""
 
     def __init__(self, sink: Sink, number: int, loop: asyncio.AbstractEventLoop) -> None:
         self._sink = sink
         self._loop = loop
         self._tail = b',"subscription":%d' % number
-        self._queue: deque[tuple[bytes, float]] = deque()
-        self._dropped = 0
-        self._flush_due = False
+        self._stream: QueuedStream | None = None
+        self.next = 0
+        """Number of what it gets next."""
 
-    def offer(self, body: bytes, now: float) -> None:
-        """Queue one, for the end of this loop turn: what came in one datagram leaves in one write."""
-        if len(self._queue) >= QUEUED:
-            self._queue.popleft()
-            self._dropped += 1
-        self._queue.append((body, now))
-        if not self._flush_due:
-            self._flush_due = True
-            self._loop.call_soon(self.flush)
+    def join(self, stream: QueuedStream) -> None:
+        """Get what comes in this stream from now on."""
+        self._stream, self.next = stream, stream.end
+        stream.members[self] = None
+
+    def close(self) -> None:
+        """Get nothing more. Idempotent."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.members.pop(self, None)
+            if not stream.members:
+                stream.on_empty()
 
     def flush(self) -> None:
-        """Write what waits, if the client takes it."""
-        self._flush_due = False
-        if not self._queue or not self._sink.writable:
+        """Write what came since the last time, if the client takes it: the newest QUEUED, with the number of others."""
+        stream = self._stream
+        if stream is None or self.next == stream.end or not self._sink.writable:
             return
+        begin = stream.end - len(stream.queue)
+        dropped = max(begin - self.next, 0)
+        now = self._loop.time()
         pieces: list[bytes] = []
-        for body, then in self._queue:
-            pieces += (body, self._closing(then))
-        self._queue.clear()
+        for body, then in itertools.islice(stream.queue, max(self.next - begin, 0), None):
+            age = b',"age_s":%.3f}' % max(now - then, 0.0) if stream.tells_age else b""
+            pieces += (body, age, self._tail, b',"dropped":%d}}\n' % dropped if dropped else b"}}\n")
+            dropped = 0
+        self.next = stream.end
         self._sink.write(b"".join(pieces))
 
-    def _closing(self, then: float) -> bytes:
-        if not self._dropped:
-            return self._tail + b"}}\n"
-        dropped, self._dropped = self._dropped, 0
-        return b'%b,"dropped":%d}}\n' % (self._tail, dropped)
 
+class QueuedStream:
+    """Encoded events or messages, numbered, for all that want the same. One costs the loop no more when many clients
+    wait for it, and nothing for those that do not read."""
 
-class EventSubscription(QueuedSubscription):
-    """Events of some kinds and vehicles."""
+    tells_age = False
+    """True if its bodies lack their last brace, before which their age is put."""
 
-    def __init__(
-        self,
-        sink: Sink,
-        number: int,
-        loop: asyncio.AbstractEventLoop,
-        services: Services,
-        targets: str | list[str],
-        kinds: frozenset[str],
-    ) -> None:
-        super().__init__(sink, number, loop)
-        self._services = services
-        self._targets = targets
-        self._kinds = kinds
-        if targets != "all":
-            services.fleet.resolve_any(targets)
+    def __init__(self, loop: asyncio.AbstractEventLoop, on_empty: Callable[[], object]) -> None:
+        """``on_empty``: called when the last of its subscriptions has been closed."""
+        self.members: dict[QueuedSubscription, None] = {}
+        self.queue: deque[tuple[bytes, float]] = deque(maxlen=QUEUED)
+        """The newest, with the time of each; the last has the number ``end`` - 1."""
+        self.end = 0
+        self.on_empty = on_empty
+        self._loop = loop
+        self._flush_due = False
 
-    def wants(self, event: Mapping[str, Any]) -> bool:
-        if self._kinds and event.get("kind") not in self._kinds:
-            return False
-        if self._targets == "all":
-            return True
-        try:
-            wanted = self._services.fleet.resolve_any(self._targets)
-        except TargetError:
-            return False
-        component = (event.get("sysid"), (event.get("data") or {}).get("compid"))
-        return any(s.name == event.get("vehicle") or (s.sysid, s.compid) == component for s in wanted)
+    def put(self, body: bytes, now: float) -> None:
+        """Queue one, for the end of this loop turn: what came in one datagram leaves in one write."""
+        self.queue.append((body, now))
+        self.end += 1
+        if not self._flush_due:
+            self._flush_due = True
+            self._loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        self._flush_due = False
+        for member in tuple(self.members):
+            member.flush()
+        if all(member.next == self.end for member in self.members):
+            self.queue.clear()
 
 
 class EventFeed:
@@ -301,60 +306,88 @@ class EventFeed:
     def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._services = services
-        self._subscriptions: set[EventSubscription] = set()
+        self._streams: dict[tuple[frozenset[str], str | tuple[str, ...]], QueuedStream] = {}
+        """By their kinds (none: all) and targets."""
         self._unsubscribe: Callable[[], object] | None = None
 
-    def add(self, subscription: EventSubscription) -> None:
-        self._subscriptions.add(subscription)
+    def add(self, subscription: QueuedSubscription, kinds: frozenset[str], targets: str | list[str]) -> None:
+        """Raises TargetError."""
+        if targets != "all":
+            self._services.fleet.resolve_any(targets)
+        wanted = kinds, targets if isinstance(targets, str) else tuple(targets)
+        stream = self._streams.get(wanted)
+        if stream is None:
+            stream = self._streams[wanted] = QueuedStream(self._loop, partial(self._drop, wanted))
+        subscription.join(stream)
         if self._unsubscribe is None:
             self._unsubscribe = self._services.event_log.subscribe(self._on_event)
 
-    def remove(self, subscription: EventSubscription) -> None:
-        self._subscriptions.discard(subscription)
-        if not self._subscriptions:
+    def _drop(self, wanted: tuple[frozenset[str], str | tuple[str, ...]]) -> None:
+        self._streams.pop(wanted, None)
+        if not self._streams:
             self.close()
 
     def close(self) -> None:
-        self._subscriptions.clear()
+        self._streams.clear()
         if self._unsubscribe is not None:
             self._unsubscribe()
             self._unsubscribe = None
 
     def _on_event(self, event: Mapping[str, Any]) -> None:
-        body = b""
-        for subscription in self._subscriptions:
-            if not subscription.wants(event):
+        body, now = b"", self._loop.time()
+        for (kinds, targets), stream in self._streams.items():
+            if (kinds and event.get("kind") not in kinds) or not self._is_of(event, targets):
                 continue
-            if not body:
-                encoded = encode(dict(event), serialize_unknown=True)
-                body = EVENT_START + encoded
-            subscription.offer(body, self._loop.time())
+            body = body or EVENT_START + encode(dict(event), serialize_unknown=True)
+            stream.put(body, now)
+
+    def _is_of(self, event: Mapping[str, Any], targets: str | tuple[str, ...]) -> bool:
+        if targets == "all":
+            return True
+        try:
+            wanted = self._services.fleet.resolve_any(targets if isinstance(targets, str) else list(targets))
+        except TargetError:
+            return False
+        component = (event.get("sysid"), (event.get("data") or {}).get("compid"))
+        return any(s.name == event.get("vehicle") or (s.sysid, s.compid) == component for s in wanted)
 
 
-class MessageSubscription(QueuedSubscription):
-    """Decoded messages of some names and vehicles, at most ``rate_hz`` of each name and source."""
+class MessageStream(QueuedStream):
+    """Decoded messages of some names and sources, at most ``rate_hz`` of each name and source."""
 
-    def __init__(self, sink: Sink, number: int, loop: asyncio.AbstractEventLoop, rate_hz: float | None) -> None:
-        super().__init__(sink, number, loop)
-        self.rate_hz = rate_hz
+    tells_age = True
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        on_empty: Callable[[], object],
+        rate_hz: float | None,
+        encoded: Callable[[Frame], bytes],
+    ) -> None:
+        super().__init__(loop, on_empty)
+        self.unsubscribe: Callable[[], object] = lambda: None
+        self._rate_hz = rate_hz
+        self._encoded = encoded
         self._last: dict[tuple[int, int, int], float] = {}
 
-    def passes(self, frame: Frame, now: float) -> bool:
+    def on_frame(self, frame: Frame, _channel: object, _now: float) -> None:
+        """One that is of its names and sources."""
+        now = self._loop.time()
+        if frame.info is not None and self._passes(frame, now):
+            self.put(self._encoded(frame), now)
+
+    def _passes(self, frame: Frame, now: float) -> bool:
         """True if the rate lets this one through (a tenth of a period early is in time: senders jitter)."""
-        if self.rate_hz is None:
+        if self._rate_hz is None:
             return True
         key = (frame.sysid, frame.compid, frame.msgid)
         last = self._last.get(key)
-        if last is not None and now - last < 0.9 / self.rate_hz:
+        if last is not None and now - last < 0.9 / self._rate_hz:
             return False
         if last is None and len(self._last) >= MAX_RATED_SOURCES:
             return False
         self._last[key] = now
         return True
-
-    def _closing(self, then: float) -> bytes:
-        age = max(self._loop.time() - then, 0.0)
-        return b',"age_s":%.3f}%b' % (age, super()._closing(then))
 
 
 class MessageFeed:
@@ -363,32 +396,36 @@ class MessageFeed:
     def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
         self._services = services
         self._loop = loop
-        self._unsubscribes: dict[MessageSubscription, Callable[[], object]] = {}
+        self._streams: dict[object, MessageStream] = {}
+        """By what its subscriptions want; of one with a rate, which begins with its first frame, by itself."""
         self._last: tuple[Frame | None, bytes] = (None, b"")
 
-    def add(self, subscription: MessageSubscription, names: Iterable[str] | None, targets: str | list[str]) -> None:
+    def add(
+        self,
+        subscription: QueuedSubscription,
+        names: Iterable[str] | None,
+        targets: str | list[str],
+        rate_hz: float | None,
+    ) -> None:
         """Raises TargetError. ``names`` are the dialect's own spelling."""
-        keys: set[int] | None = None
-        if targets != "all":
-            keys = self._services.fleet.sources(targets)
-
-        def on_frame(frame: Frame, _channel: object, _now: float) -> None:
-            now = self._loop.time()
-            if frame.info is not None and subscription.passes(frame, now):
-                subscription.offer(self._encode(frame), now)
-
+        keys = None if targets == "all" else frozenset(self._services.fleet.sources(targets))
         dialect = self._services.dialect
-        msgids = None if names is None else {dialect.by_name[name].msgid for name in names}
-        self._unsubscribes[subscription] = self._services.hub.observers.add(msgids, keys, on_frame)
+        msgids = None if names is None else frozenset(dialect.by_name[name].msgid for name in names)
+        wanted = (msgids, keys) if rate_hz is None else subscription
+        stream = self._streams.get(wanted)
+        if stream is None:
+            stream = MessageStream(self._loop, partial(self._drop, wanted), rate_hz, self._encode)
+            self._streams[wanted] = stream
+            stream.unsubscribe = self._services.hub.observers.add(msgids, keys, stream.on_frame)
+        subscription.join(stream)
 
-    def remove(self, subscription: MessageSubscription) -> None:
-        unsubscribe = self._unsubscribes.pop(subscription, None)
-        if unsubscribe is not None:
-            unsubscribe()
+    def _drop(self, wanted: object) -> None:
+        if (stream := self._streams.pop(wanted, None)) is not None:
+            stream.unsubscribe()
 
     def close(self) -> None:
-        for subscription in list(self._unsubscribes):
-            self.remove(subscription)
+        for wanted in list(self._streams):
+            self._drop(wanted)
         self._last = (None, b"")
 
     def _encode(self, frame: Frame) -> bytes:
@@ -458,7 +495,7 @@ class PlanSubscription:
             self._changed()
 
 
-Subscription = TelemetrySubscription | EventSubscription | MessageSubscription | PlanSubscription
+Subscription = TelemetrySubscription | QueuedSubscription | PlanSubscription
 
 
 class Feeds:
@@ -482,8 +519,8 @@ class Feeds:
                 self._telemetry.add(telemetry)
                 return telemetry
             case "events":
-                events = EventSubscription(sink, number, self._loop, self._services, params.targets, texts)
-                self._events.add(events)
+                events = QueuedSubscription(sink, number, self._loop)
+                self._events.add(events, texts, params.targets)
                 return events
             case "plan":
                 rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
@@ -492,20 +529,15 @@ class Feeds:
                 names = None
                 if params.names is not None:
                     names = [find_message(self._services.dialect, name, "names").name for name in params.names]
-                messages = MessageSubscription(sink, number, self._loop, params.rate_hz)
-                self._messages.add(messages, names, params.targets)
+                messages = QueuedSubscription(sink, number, self._loop)
+                self._messages.add(messages, names, params.targets, params.rate_hz)
                 return messages
 
     def remove(self, subscription: Subscription) -> None:
-        match subscription:
-            case TelemetrySubscription():
-                self._telemetry.remove(subscription)
-            case EventSubscription():
-                self._events.remove(subscription)
-            case MessageSubscription():
-                self._messages.remove(subscription)
-            case PlanSubscription():
-                subscription.close()
+        if isinstance(subscription, TelemetrySubscription):
+            self._telemetry.remove(subscription)
+        else:
+            subscription.close()
 
     def resume(self) -> None:
         """Some client takes data again."""

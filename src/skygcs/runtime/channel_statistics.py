@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 FrameObserver = Callable[[Frame, Channel, float], None]
 
-_Entry = tuple[set[int] | None, set[int] | None, FrameObserver]
+_Entry = tuple[Set[int] | None, Set[int] | None, FrameObserver]
 
 
 class FrameObservers:
@@ -43,7 +43,7 @@ class FrameObservers:
         """Messages that some observer wants; None: all. Checked before `show`, because most frames are not observed."""
         self._entries: list[_Entry] = []
 
-    def add(self, msgids: set[int] | None, keys: set[int] | None, observer: FrameObserver) -> Callable[[], None]:
+    def add(self, msgids: Set[int] | None, keys: Set[int] | None, observer: FrameObserver) -> Callable[[], None]:
         """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to
         ``observer``; returns how to stop it."""
         entry = (msgids, keys, observer)
@@ -75,7 +75,7 @@ class FrameObservers:
         self.on_change()
 
 
-def _has(keys: set[int], key: int) -> bool:
+def _has(keys: Set[int], key: int) -> bool:
     return key in keys or key & ~0xFF in keys
 
 

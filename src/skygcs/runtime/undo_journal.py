@@ -67,7 +67,7 @@ class UndoJournal:
         self.number_left = 0
         """Number of entries that wait for their undo; from the last `left`, `begin`, `undone` or `drop`."""
         self.problems: list[str] = []
-        """Files of the folder that cannot be read, and why; from the last `left`."""
+        """Files of the folder that cannot be read, or the folder, and why; from the last `left`."""
 
     @property
     def folder(self) -> Path:
@@ -125,7 +125,11 @@ class UndoJournal:
         """The entries that wait for their undo, oldest first, without those in progress. Other files are `problems`."""
         self.problems = []
         found = []
-        for path in self._files():
+        try:
+            files = self._files()
+        except OSError as error:
+            self.problems, files = [f"the folder cannot be read ({error.strerror}): it may hold changes"], []
+        for path in files:
             try:
                 change = _read(path)
             except (OSError, ValueError) as error:
@@ -153,10 +157,13 @@ class UndoJournal:
         self.left()
 
     def _files(self) -> list[Path]:
+        """The files of entries. Raises OSError for a folder that is there and cannot be read, of which `Path.glob` says
+        that it is empty."""
         try:
-            return sorted(self._folder.glob("*.json"))[: 2 * MAX_ENTRIES]
-        except OSError:
+            names = os.listdir(self._folder)
+        except FileNotFoundError:
             return []
+        return [self._folder / name for name in sorted(names) if name.endswith(".json")][: 2 * MAX_ENTRIES]
 
     def _path(self, id: str) -> Path:
         return self._folder / f"{id}.json"

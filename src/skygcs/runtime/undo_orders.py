@@ -48,7 +48,7 @@ class UndoOrders:
             text = f"{change}; skygcs-cli undo run {change.id} restores it, undo drop removes the entry"
             self._publish(change, text, {"id": change.id, "state": "left"})
         if problems := self._journal.problems:
-            text = f"{self._journal.folder}: {'; '.join(problems[:5])}; these files are not undone"
+            text = f"{self._journal.folder}: {'; '.join(problems[:5])}; these are not undone"
             self._on_event(Event("undo", None, None, text, {"state": "unreadable"}))
 
     async def left(self) -> dict[str, Any]:

@@ -13,8 +13,9 @@ import pytest
 
 from skygcs.config import models
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.xbee.api_frames import encode
 from skygcs.errors import LinkError
-from skygcs.links.xbee import XBeeChannel, XBeeLink
+from skygcs.links.xbee import MAX_UNWRITTEN_BYTES, XBeeChannel, XBeeLink, format_xbee_address
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle_group import make_vehicles
@@ -182,6 +183,32 @@ async def test_only_listed_nodes_count_and_no_more_than_allowed(radio: PtyRadio)
         assert [e.text for e in host.events].count(
             "link mesh: 2 nodes are heard, further ones are refused (max_nodes)"
         ) == 1
+
+
+@on_every_loop
+async def test_neither_strangers_nor_a_module_that_restarts_on_and_on_take_what_a_vehicle_needs(
+    radio: PtyRadio,
+) -> None:
+    def frames(*contents: bytes) -> bytes:
+        return b"".join(encode(content, escaped=True) for content in contents)
+
+    def packet(address: int) -> bytes:
+        return b"\x90" + address.to_bytes(8, "big") + b"\xff\xfe\x01" + text(1, 1, "here")
+
+    vehicle = 0x0013A20041000002
+    keys = {"device": str(radio.path), "rtscts": False, "nodes": (format_xbee_address(vehicle),)}
+    link = XBeeLink(models.XBeeLinkConfig(name="mesh", **keys), RecordingHost(), asyncio.get_running_loop())
+    await link.open()
+    try:
+        sent = frames(*map(packet, range(1, 200)), *[b"\x8a\x00"] * 5000, packet(vehicle))
+        while sent:  # nothing that the link writes is read: the port is full soon
+            sent = sent[radio.write(sent[:200]) :]
+            await asyncio.sleep(0)
+        await until(lambda: link.channels)
+        assert len(link._unwritten) <= MAX_UNWRITTEN_BYTES
+        assert list(link.modem.nodes) == [vehicle] and link.modem.nodes[vehicle].rx_packets == 1
+    finally:
+        await link.close()
 
 
 @on_every_loop

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
 from typing import Any
 
 import pytest
@@ -270,6 +271,52 @@ async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(reported: Tol
     assert update[0]["dropped"] == 40 and all("dropped" not in n for n in update[1:])
     key = [n["event"]["text"] if topic == "events" else n["message"]["fields"]["time_boot_ms"] for n in update]
     assert [int(k) for k in key] == list(range(40, QUEUED + 40))
+
+
+@pytest.mark.looptime
+@pytest.mark.parametrize("topic", ["events", "messages"])
+async def test_one_costs_no_more_for_many_that_want_the_same_and_each_gets_what_came_since_it_began(
+    reported: Told, topic: str
+) -> None:
+    def come() -> None:
+        if topic == "events":
+            reported.daemon.emit("mode", "alpha", "x")
+        else:
+            reported.daemon.hear("ATTITUDE")
+
+    def calls_of_one() -> int:
+        calls = 0
+
+        def count(_frame: object, event: str, _arg: object) -> None:
+            nonlocal calls
+            calls += event == "call"
+
+        sys.setprofile(count)
+        try:
+            come()
+        finally:
+            sys.setprofile(None)
+        return calls
+
+    first, _ = reported.add(1, topic=topic)
+    come()
+    await settle()
+    alone = calls_of_one()
+    others = [reported.add(n, topic=topic) for n in range(2, 40)]
+    for reader, _ in others[1:]:
+        reader.writable = False
+    assert calls_of_one() <= alone
+    await settle()
+    assert [[n["subscription"] for n in reader.take()] for reader in (first, others[0][0])] == [[1] * 3, [2]]
+    others[1][0].writable = True
+    others[1][1].flush()
+    (late,) = others[1][0].take()
+    assert late["subscription"] == 3 and "dropped" not in late
+    for _, subscription in others:
+        reported.feeds.remove(subscription)
+    come()
+    await settle()
+    assert len(first.take()) == 1 and others[0][0].raw == b""
 
 
 @pytest.mark.looptime

@@ -55,6 +55,14 @@ def test_a_disk_that_fails_refuses_the_change_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == [] and journal.left() == []
 
 
+def test_a_folder_that_cannot_be_read_is_a_problem_and_not_empty(tmp_path: Path) -> None:
+    (tmp_path / "undo").write_text("of another user, or of a disk that fails")
+    journal = UndoJournal(tmp_path / "undo")
+    assert journal.left() == [] and "the folder cannot be read (Not a directory)" in journal.problems[0]
+    with pytest.raises(RefusedError, match="cannot be written"):
+        begin(journal)
+
+
 def test_a_file_with_a_number_beyond_every_float_is_a_problem(tmp_path: Path) -> None:
     journal = UndoJournal(tmp_path)
     change = begin(journal)

@@ -103,13 +103,30 @@ def content_of(frame: bytes) -> RtcmContent:
     return RtcmContent(type_, kind, epoch)
 
 
+class CheckAllowance:
+    """Bytes of a stream whose checksums may still be computed. Bytes that look like a frame at every second place would
+    cost a checksum of a kilobyte each, 75 µs per byte: such a place is passed over unchecked beyond CHECKED_PER_BYTE.
+    """
+
+    __slots__ = ("_left",)
+
+    def __init__(self) -> None:
+        self._left = CHECKED_SAVED
+
+    def fed(self, size: int, held: int) -> None:
+        """So many bytes have come, and so many are held with them."""
+        self._left = min(self._left + CHECKED_PER_BYTE * size, max(CHECKED_SAVED, CHECKED_PER_BYTE * held))
+
+    def take(self, size: int) -> bool:
+        """Take so many bytes from it; False if they are not there, and no checksum over them is to be computed."""
+        allowed = self._left >= size
+        self._left -= size * allowed
+        return allowed
+
+
 class RtcmDeframer:
     """The whole and sound RTCM frames in a stream of bytes. After anything else it resumes at the next byte that may
-    begin a frame, so that a false start costs none that follow. It holds less than one frame.
-
-    Bytes that look like a frame at every second place would cost a checksum of a kilobyte each, 75 µs per byte: such a
-    place is passed over unchecked beyond CHECKED_PER_BYTE.
-    """
+    begin a frame, so that a false start costs none that follow. It holds less than one frame."""
 
     __slots__ = ("_allowance", "_held", "bad_crc", "frames", "skipped_bytes")
 
@@ -120,7 +137,7 @@ class RtcmDeframer:
         self.skipped_bytes = 0
         """Bytes that belong to no sound frame."""
         self._held = bytearray()
-        self._allowance = CHECKED_SAVED
+        self._allowance = CheckAllowance()
 
     @property
     def held_bytes(self) -> int:
@@ -135,8 +152,7 @@ class RtcmDeframer:
     def feed(self, data: bytes) -> list[bytes]:
         """The frames that these bytes complete, in their order."""
         self._held += data
-        most = max(CHECKED_SAVED, CHECKED_PER_BYTE * len(self._held))
-        self._allowance = min(self._allowance + CHECKED_PER_BYTE * len(data), most)
+        self._allowance.fed(len(data), len(self._held))
         held = self._held
         frames: list[bytes] = []
         at = 0
@@ -157,7 +173,7 @@ class RtcmDeframer:
                 break
             # a wrong CRC means that the preamble was payload: go on behind it
             frame = bytes(held[at : at + length])
-            if not self._checks(frame):
+            if not (self._allowance.take(length) and crc24q(frame) == 0):
                 self.bad_crc += 1
                 self.skipped_bytes += 1
                 at += 1
@@ -168,13 +184,6 @@ class RtcmDeframer:
             at += length
         del held[:at]
         return frames
-
-    def _checks(self, frame: bytes) -> bool:
-        """True if its checksum is right; False as well where no further one is computed."""
-        if self._allowance < len(frame):
-            return False
-        self._allowance -= len(frame)
-        return crc24q(frame) == 0
 
 
 def fragments_of(message: bytes, sequence: int) -> Iterator[dict[str, int | bytes]]:

@@ -205,6 +205,8 @@ def _of_body(fields: Fields, mask: int, frame: LocalFrame) -> tuple[Fields, int]
 def raw_global(fields: Fields, frame: LocalFrame) -> Demand:
     """setpoint_raw/global: a place on earth, above mean sea level or above home."""
     mask, kind = fields["type_mask"], fields["coordinate_frame"]
+    if kind not in (GLOBAL_INT, GLOBAL_REL_ALT):
+        raise SetpointError(f"coordinate_frame {kind}: only GLOBAL_INT (5) and GLOBAL_REL_ALT (6)")
     if mask & (sum(IGNORE_XYZ) | FORCE):
         if _ignored(mask, IGNORE_XYZ) and not mask & FORCE and not _ignored(mask, IGNORE_VXYZ):
             return raw_local({**fields, "coordinate_frame": LOCAL_NED, "position": {"x": 0, "y": 0, "z": 0}}, frame)
@@ -214,8 +216,6 @@ def raw_global(fields: Fields, frame: LocalFrame) -> Demand:
         if frame.home_alt_amsl_m is None:
             raise SetpointError("the vehicle has not reported its home, from which this altitude counts")
         altitude += frame.home_alt_amsl_m
-    elif kind != GLOBAL_INT:
-        raise SetpointError(f"coordinate_frame {kind}: only GLOBAL_INT (5) and GLOBAL_REL_ALT (6)")
     params: dict[str, Any] = {"pos_enu_m": _on_earth(fields["latitude"], fields["longitude"], altitude, frame)}
     if not _ignored(mask, IGNORE_VXYZ):
         velocity = _of_axes(fields["velocity"], mask, IGNORE_VXYZ, FASTEST_MPS, "velocity")

@@ -45,9 +45,6 @@ DEFAULT_PAYLOAD_BYTES = 72
 MOST_PAYLOAD_BYTES = 256
 """Greatest NP of any of these modules."""
 
-MAX_NODES = 64
-"""Nodes whose counters are kept; a network of one channel carries far fewer vehicles."""
-
 QUESTIONS = ("NP", "SH", "SL", "AP", "HV", "VR", "ID", "CM")
 """AT commands that are sent to the module at the start: payload, own address, API mode, hardware, firmware, network."""
 
@@ -109,8 +106,6 @@ class ModemCounters:
     """Transmit statuses of no request that is outstanding: late ones, or of an earlier daemon."""
     restarts: int = 0
     other_frames: int = 0
-    unknown_nodes: int = 0
-    """Packets from nodes beyond MAX_NODES."""
 
 
 @dataclass(slots=True)
@@ -118,14 +113,17 @@ class Heard:
     """Contents that bytes from the module brought."""
 
     packets: list[ReceivePacket] = field(default_factory=list)
-    writes: list[bytes] = field(default_factory=list)
-    """Bytes to write to the port now."""
+    """Packets of any node: the link decides which nodes are its own, and admits them (`XBeeModem.admit`)."""
+    questions: list[bytes] = field(default_factory=list)
+    """Bytes to write to the port now, in place of what waits there: the module has restarted."""
     opened: bool = False
     """The module may be given payloads from now on (again)."""
 
 
 class XBeeModem:
-    """`start` when the port is open, `feed` with what comes, `transmit` while `has_room`, `expire` at `next_expiry`."""
+    """`start` when the port is open, `feed` with what comes, `transmit` while `has_room`, `expire` at `next_expiry`.
+
+    Counters are kept of the nodes that the link admits, until it forgets them: strangers take no place."""
 
     def __init__(self, *, escaped: bool) -> None:
         self.escaped = escaped
@@ -133,6 +131,7 @@ class XBeeModem:
         self.state: State = "closed"
         self.counters = ModemCounters()
         self.nodes: dict[int, NodeStats] = {}
+        """Those that were admitted."""
         self.payload_bytes = DEFAULT_PAYLOAD_BYTES
         self._answers: dict[str, bytes] = {}
         self._asked_until = 0.0
@@ -161,9 +160,17 @@ class XBeeModem:
         assert self.has_room() and 0 < len(payload) <= self.payload_bytes
         frame_id = self._next_id()
         self._outstanding[frame_id] = _Outstanding(address, now)
-        if (node := self._node(address)) is not None:
+        if (node := self.nodes.get(address)) is not None:
             node.sent += 1
         return encode(transmit_request(frame_id, address, payload), escaped=self.escaped)
+
+    def admit(self, address: int) -> None:
+        """A packet of `Heard` is of a node of the link's."""
+        self.nodes.setdefault(address, NodeStats()).rx_packets += 1
+
+    def forget(self, address: int) -> None:
+        """The link has no such node any more."""
+        self.nodes.pop(address, None)
 
     def feed(self, data: bytes, now: float) -> Heard:
         """Bytes from the port, in any split."""
@@ -177,15 +184,15 @@ class XBeeModem:
         heard = Heard()
         for frame in frames:
             match frame:
-                case ReceivePacket():
-                    self._on_packet(frame, heard)
+                case ReceivePacket() if frame.address != BROADCAST:
+                    heard.packets.append(frame)
                 case TransmitStatus():
                     self._on_status(frame)
                 case AtResponse(address=None):
                     self._on_answer(frame, heard)
                 case ModemStatus() if frame.status in RESTARTED:
                     self.counters.restarts += 1
-                    heard.writes += self.start(now)
+                    heard.questions = self.start(now)
                 case _:
                     self.counters.other_frames += 1
         return heard
@@ -202,7 +209,7 @@ class XBeeModem:
         late = [frame_id for frame_id, out in self._outstanding.items() if now >= out.at + LOST_AFTER_S]
         for frame_id in late:
             out = self._outstanding.pop(frame_id)
-            if (node := self._node(out.address)) is not None:
+            if (node := self.nodes.get(out.address)) is not None:
                 node.unknown += 1
         if self.state == "asking" and now >= self._asked_until:
             self.state = "open"
@@ -242,7 +249,6 @@ class XBeeModem:
             "unasked": self.counters.unasked,
             "restarts": self.counters.restarts,
             "other_frames": self.counters.other_frames,
-            "unknown_nodes": self.counters.unknown_nodes,
             "bad_checksum": self.parser.stats.bad_checksum,
             "skipped_bytes": self.parser.stats.skipped_bytes,
         }
@@ -256,26 +262,12 @@ class XBeeModem:
             if self._frame_id not in self._outstanding:
                 return self._frame_id
 
-    def _node(self, address: int) -> NodeStats | None:
-        node = self.nodes.get(address)
-        if node is None and len(self.nodes) < MAX_NODES:
-            node = self.nodes[address] = NodeStats()
-        return node
-
-    def _on_packet(self, packet: ReceivePacket, heard: Heard) -> None:
-        node = None if packet.address == BROADCAST else self._node(packet.address)
-        if node is None:
-            self.counters.unknown_nodes += 1
-            return
-        node.rx_packets += 1
-        heard.packets.append(packet)
-
     def _on_status(self, status: TransmitStatus) -> None:
         out = self._outstanding.pop(status.frame_id, None)
         if out is None:
             self.counters.unasked += 1
             return
-        node = self._node(out.address)
+        node = self.nodes.get(out.address)
         if node is None:
             return
         if status.delivery == 0:

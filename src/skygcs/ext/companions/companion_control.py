@@ -151,6 +151,8 @@ class CompanionControl:
         self._round_trip_s: float | None = None
         self._refused: str | None = None
         """Why the companion does not take this ground's contacts."""
+        self._unreported = ""
+        """Why its newest contact had no report, as of a companion whose skygcs is older."""
         self._origin_there: Json | None = None
         # setpoints on their way
         self._waiting: Json | None = None
@@ -203,9 +205,9 @@ class CompanionControl:
         if self._refused is not None:
             return f"its companion {companion.name}: {self._refused}"
         if self.controller.session is None:
-            return f"its companion {companion.name} has not reported its control yet"
+            return f"its companion {companion.name} has not reported its control yet{self._unreported}"
         if (silent_s := self.controller.silent_s(self._loop.time())) is not None:
-            return f"its companion {companion.name} has not answered for {silent_s:.0f} s"
+            return f"its companion {companion.name} has not answered for {silent_s:.0f} s{self._unreported}"
         return None if companion.clock() is not None else f"the clock of {companion.name} is not measured yet"
 
     # -- orders
@@ -485,8 +487,12 @@ class CompanionControl:
         given = {"ground": self._ground, "sysid": self._own[0], "compid": self._own[1]}
         try:
             report = await companion.call("companion.contact", given, CONTACT_TIMEOUT_S)
-        except (LinkError, RpcError):
+        except RpcError as error:
+            self._unreported = f": it refuses this ground's contact, {str(error)[:200]}; is its skygcs another version?"
             return
+        except LinkError:
+            return
+        self._unreported = ""
         now = self._loop.time()
         trip_s = now - sent
         # rises at once, falls within some answers: what is planned with it must hold for the slower ones

@@ -32,6 +32,10 @@ CLOCK_PERIOD_S = 2.0
 ANSWERS_SILENT_S = 5.0
 """Without any answer for this time the connection is given up: TCP itself would notice after minutes."""
 
+UNREPLIED_S = 15.0
+"""Without the answer to any call for this time it is given up although the companion reports states: a companion that
+reads nothing takes no order, and what is sent to it would wait here and grow."""
+
 CALL_S = 5.0
 """Default time for an answer."""
 
@@ -98,7 +102,8 @@ class CompanionLink:
         self._woken: asyncio.Future[str] = loop.create_future()
         """Done, with the reason, once what this connection still brings may be of before a sleep or a standstill."""
         self._calls = 0
-        self._answered_at = float("-inf")
+        self._answered_at = self._replied_at = float("-inf")
+        """When anything came, and when the answer to a call did."""
         self._now = exact_clock(loop)
         self._clock = ClockComparison()
         # observers
@@ -266,7 +271,8 @@ class CompanionLink:
             try:
                 answer = await self._call(client, "clock.read", {}, ANSWERS_SILENT_S)
             except _NoAnswer:
-                if self._loop.time() - self._answered_at >= ANSWERS_SILENT_S:
+                now = self._loop.time()
+                if now - self._answered_at >= ANSWERS_SILENT_S or now - self._replied_at >= UNREPLIED_S:
                     raise
                 continue
             received = self._now()
@@ -289,12 +295,12 @@ class CompanionLink:
         except DaemonUnreachable as error:
             raise LinkError(f"companion {self.name}: the connection ended during {method} ({error.reason})") from None
         except RpcError:
-            self._answered_at = self._loop.time()
+            self._answered_at = self._replied_at = self._loop.time()
             raise
         finally:
             self._calls -= 1
         self._require_awake()
-        self._answered_at = self._loop.time()
+        self._answered_at = self._replied_at = self._loop.time()
         return result
 
     # -- its state
@@ -303,7 +309,7 @@ class CompanionLink:
         self._client = client
         self._woken = self._loop.create_future()
         self._clock = ClockComparison()
-        self._answered_at = self._loop.time()
+        self._answered_at = self._replied_at = self._loop.time()
         self.version = str(info.get("version"))[:32]
         self.connected += 1
         self.failures = 0

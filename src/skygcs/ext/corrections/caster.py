@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from skygcs.config.files import open_regular
-from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import LinkError, explain_address_error
 from skygcs.ext.corrections.config import CorrectionsConfig
+from skygcs.ext.corrections.feeder import flow_of
 from skygcs.ext.corrections.gga import GgaPosition, gga_sentence
 from skygcs.ext.corrections.ntrip import NtripAnswer, request
 
@@ -28,10 +28,6 @@ ANSWER_S = 10.0
 """From the request to the first byte of the stream, or to the end of its table of mountpoints."""
 
 READ_BYTES = 4096
-BYTES_PER_S, BURST_BYTES = 100_000.0, 1_000_000.0
-"""It is read from no faster on the average: a network station of all constellations at 10 Hz sends 30 kB/s, and each
-kilobyte takes 0.1 to 0.3 ms of the loop. TCP holds up a caster that floods; its stream then ages, as it would in a
-radio."""
 
 BUFFER_BYTES = 16384
 """asyncio stops reading when it holds twice as many."""
@@ -112,7 +108,7 @@ class CasterSource:
         answer = NtripAnswer(self._mountpoint, with_password=bool(password))
         due = heard = begun
         streams = False
-        flow = TokenBucket(BYTES_PER_S, BURST_BYTES, begun)
+        flow = flow_of(begun)
         while True:
             # until its answer, the next byte or the next position that is due
             now = self._clock()

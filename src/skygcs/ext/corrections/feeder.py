@@ -17,6 +17,7 @@ from typing import Any, Literal, Protocol
 
 from skygcs.back_off import BackOff
 from skygcs.core.radio_link.corrections import MAX_TYPES
+from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import LinkError, RefusedError
 from skygcs.events import Event
 from skygcs.ext.corrections.ntrip import RefusedByCaster
@@ -34,12 +35,22 @@ REFUSED_AGAIN_S = 60.0
 NO_MESSAGE_S = 30.0
 """Bytes without a whole message in them for so long are something else."""
 
+BYTES_PER_S, BURST_BYTES = 100_000.0, 1_000_000.0
+"""A source is read from no faster on the average: a network station of all constellations at 10 Hz sends 30 kB/s, and
+each kilobyte takes 0.1 to 0.3 ms of the loop, of a stream without messages 1 ms. TCP or USB holds up one that floods;
+its stream then ages, as it would in a radio."""
+
 MAX_PIECES = 1024
 """Kept for the rate."""
 
 MAX_NAME_CHARS = 64
 
 FeederState = Literal["connecting", "waiting", "streaming", "held_off", "down"]
+
+
+def flow_of(now: float) -> TokenBucket:
+    """Bytes that may be read from a source: `spend` those that were, and read again at `ready_at`."""
+    return TokenBucket(BYTES_PER_S, BURST_BYTES, now)
 
 
 class Source(Protocol):

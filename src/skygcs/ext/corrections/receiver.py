@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from skygcs.errors import LinkError
 from skygcs.ext.corrections.config import CorrectionsConfig
+from skygcs.ext.corrections.feeder import flow_of
 from skygcs.ext.corrections.receiver_setup import ReceiverSetup
 from skygcs.ext.corrections.receiver_stream import ReceiverStream
 from skygcs.links.serial_port import discard, open_port
@@ -50,7 +51,7 @@ class ReceiverSource:
         watcher: DescriptorWatcher | None = None
         try:
             self._setup = life.setup = ReceiverSetup(self._config, receiver_port(self._config.port, device))
-            watcher = DescriptorWatcher(asyncio.get_running_loop(), self._fd, life.on_ready)
+            watcher = life.watcher = DescriptorWatcher(asyncio.get_running_loop(), self._fd, life.on_ready)
             self.write(life.setup.begin(self._clock()))
             feeder.connected()
             while not life.ended.done():
@@ -130,6 +131,7 @@ class _Life:
     """One opening of the port. Whatever goes wrong with what it sends ends ``ended``, never the loop."""
 
     setup: ReceiverSetup
+    watcher: DescriptorWatcher
 
     def __init__(self, source: ReceiverSource, feeder: Feeder, fd: int, clock: Callable[[], float]) -> None:
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -138,6 +140,7 @@ class _Life:
         self._clock = clock
         self._stream = ReceiverStream()
         self._heard_at = clock()
+        self._flow = flow_of(self._heard_at)
         self._fd = fd
 
     def on_ready(self) -> None:
@@ -170,6 +173,10 @@ class _Life:
         if not data:
             raise LinkError("the port was closed; unplugged, or its power went")
         now = self._heard_at = self._clock()
+        self._flow.spend(len(data), now)
+        if (pause_s := self._flow.ready_at(0.0, now) - now) > 0.0:
+            self.watcher.want_read(False)
+            asyncio.get_running_loop().call_later(pause_s, self.watcher.want_read, True)
         for message in self._stream.feed(data):
             if isinstance(message, bytes):
                 self._feeder.take(message)

@@ -7,11 +7,21 @@ follow. It holds less than one message.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
-from skygcs.core.radio_link.corrections import CRC_BYTES, HEADER_BYTES, PREAMBLE, RESERVED_BITS, crc24q
+from skygcs.core.radio_link.corrections import (
+    CRC_BYTES,
+    HEADER_BYTES,
+    PREAMBLE,
+    RESERVED_BITS,
+    CheckAllowance,
+    crc24q,
+)
 from skygcs.ext.corrections import ubx
 from skygcs.ext.corrections.ubx import UbxMessage
+
+_BEGIN = re.compile(b"[%c%c]" % (PREAMBLE, ubx.SYNC[0]))
 
 
 class ReceiverStream:
@@ -21,10 +31,11 @@ class ReceiverStream:
         self.rtcm = 0
         self.ubx = 0
         self.damaged = 0
-        """Starts of messages whose checksum was wrong."""
+        """Starts of messages whose checksum was wrong, or beyond what is checked (`CheckAllowance`)."""
         self.skipped_bytes = 0
         """Bytes that belong to neither: NMEA, and noise."""
         self._held = bytearray()
+        self._allowance = CheckAllowance()
 
     @property
     def held_bytes(self) -> int:
@@ -35,9 +46,16 @@ class ReceiverStream:
         """The messages that these bytes complete, in their order: RTCM as bytes, UBX as messages."""
         held = self._held
         held += data
+        self._allowance.fed(len(data), len(held))
         at = 0
         found: list[bytes | UbxMessage] = []
-        while at < len(held):
+        while True:
+            begin = _BEGIN.search(held, at)
+            start = len(held) if begin is None else begin.start()
+            self.skipped_bytes += start - at
+            at = start
+            if begin is None:
+                break
             length = self._length_at(at)
             if length is None:  # no message begins here
                 at += 1
@@ -77,6 +95,8 @@ class ReceiverStream:
 
     def _message(self, at: int, length: int) -> bytes | UbxMessage | None:
         """The message that stands here; None if its checksum is wrong."""
+        if not self._allowance.take(length):
+            return None
         raw = bytes(self._held[at : at + length])
         if raw[0] == PREAMBLE:
             if crc24q(raw):

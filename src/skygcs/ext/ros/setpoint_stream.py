@@ -25,6 +25,7 @@ from skygcs.core.ros.setpoints import (
     SetpointError,
     origin_of,
 )
+from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.ext.ros.graph import Node
 from skygcs.ext.ros.offboard import UNDER_CONTROL, Offboard
@@ -33,6 +34,10 @@ from skygcs.ext.ros.vehicle_topics import VehicleTopics
 
 SETTLED_S = 5.0
 """A setpoint that is refused now and then, between others that are followed, is logged once."""
+
+LOGGED_PER_S, LOGGED_AT_ONCE = 1.0, 10.0
+"""Refusals of one vehicle that are logged: of a node whose setpoints are wrong in turns, each is another than the one
+before, and /rosout would carry as many messages as it sends setpoints."""
 
 BODY_S = 5.0
 """Attitude that was requested for demands in the body's frame is kept so long after the last of them."""
@@ -60,6 +65,7 @@ class SetpointStream:
         self.sent = 0
         self._refused_kind = ""
         self._refused_at = -math.inf
+        self._log_share = TokenBucket(LOGGED_PER_S, LOGGED_AT_ONCE)
         self._vehicle = vehicle
         self._gcs = gcs
         self._origin = origin
@@ -166,11 +172,12 @@ class SetpointStream:
             self._sending = None
 
     def _refuse(self, reason: str) -> None:
-        """Log a reason when it is another one than before, whatever its numbers are; count each."""
+        """Log a reason when it is another one than before, whatever its numbers are, and not too many; count
+        each."""
         self.refused += 1
         kind = re.sub(r"[0-9.]+", "", reason)
         self.refusal, self._refused_at = reason, self._clock()
-        if kind != self._refused_kind:
+        if kind != self._refused_kind and self._log_share.take(self._refused_at):
             self._refused_kind = kind
             self._vehicle.log(WARNING, f"setpoint refused: {reason}", self._unix_ns())
 

@@ -199,6 +199,7 @@ def test_attitudes_and_rates() -> None:
         ("setpoint_raw/local", {"coordinate_frame": 1, "type_mask": 0xDF9}),
         ("setpoint_raw/local", {"coordinate_frame": 1, "type_mask": 0x9F8, "yaw": math.nan}),
         ("setpoint_raw/global", {"coordinate_frame": 11, "type_mask": 0xDF8}),
+        ("setpoint_raw/global", {"coordinate_frame": 8, "type_mask": 0xDC7}),
         ("setpoint_raw/global", {"coordinate_frame": 5, "type_mask": 0xDF9}),
         ("setpoint_raw/attitude", {"type_mask": 7, "orientation": {"w": 1.0}, "thrust": 1.1}),
         ("setpoint_raw/attitude", {"type_mask": 7, "orientation": {"w": 1.0}, "thrust": math.nan}),

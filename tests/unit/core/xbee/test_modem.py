@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.xbee import api_frames as api
 from skygcs.core.xbee.api_frames import ApiParser, FrameType
-from skygcs.core.xbee.modem import ASK_S, LOST_AFTER_S, MAX_NODES, QUESTIONS, WINDOW, XBeeModem
+from skygcs.core.xbee.modem import ASK_S, LOST_AFTER_S, QUESTIONS, WINDOW, XBeeModem
 
 NODE = 0x0013A20041A7B2C3
 
@@ -20,6 +20,7 @@ def opened(now: float = 0.0, payload_bytes: int = 256) -> XBeeModem:
         value = {"NP": payload_bytes.to_bytes(2, "big"), "AP": b"\1"}.get(question[2:4].decode(), b"\0\1")
         modem.feed(answer(question[1], question[2:4].decode(), value), now)
     assert modem.state == "open"
+    modem.admit(NODE)
     return modem
 
 
@@ -89,7 +90,7 @@ def test_a_restarted_module_is_asked_again_and_forgets_what_it_had() -> None:
     modem = opened(payload_bytes=100)
     modem.transmit(NODE, b"x", 0.0)
     heard = modem.feed(api.encode(bytes((FrameType.MODEM_STATUS, 1)), escaped=False), 5.0)
-    assert len(heard.writes) == len(QUESTIONS)
+    assert len(heard.questions) == len(QUESTIONS)
     assert (modem.state, modem.outstanding, modem.counters.restarts) == ("asking", 0, 1)
 
 
@@ -98,13 +99,6 @@ def test_the_wrong_api_mode_is_named() -> None:
     modem.start(0.0)
     modem.feed(api.encode(bytes((FrameType.AT_RESPONSE, 4)) + b"AP\0\1", escaped=True), 0.0)
     assert modem.why_wrong_mode() == "the module's AP is 1, this link's api_mode is 2: set one of them"
-
-
-def test_more_nodes_than_the_table_holds_are_counted_and_not_kept() -> None:
-    modem = opened()
-    for n in range(MAX_NODES + 40):
-        modem.feed(received(NODE + n, b"x"), 0.0)
-    assert len(modem.nodes) == MAX_NODES and modem.counters.unknown_nodes == 40
 
 
 @given(

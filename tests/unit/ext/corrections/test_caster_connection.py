@@ -13,9 +13,15 @@ from typing import Any
 import pytest
 
 from skygcs.errors import LinkError
-from skygcs.ext.corrections.caster import ANSWER_S, BURST_BYTES, BYTES_PER_S, READ_BYTES, read_password
+from skygcs.ext.corrections.caster import ANSWER_S, READ_BYTES, read_password
 from skygcs.ext.corrections.config import CorrectionsConfig
-from skygcs.ext.corrections.feeder import FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S, REFUSED_AGAIN_S
+from skygcs.ext.corrections.feeder import (
+    BURST_BYTES,
+    BYTES_PER_S,
+    FIRST_BACK_OFF_S,
+    LONGEST_BACK_OFF_S,
+    REFUSED_AGAIN_S,
+)
 from skygcs.ext.corrections.gga import GgaPosition
 from support.caster import HTTP, ICY, TABLE, Caster, Client, Conduct, never_stops, says, streams
 from support.certificates import Authority

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from skygcs.errors import LinkError
 from skygcs.ext.corrections import receiver
+from skygcs.ext.corrections.feeder import BURST_BYTES, BYTES_PER_S
 from support.base_receiver import BaseReceiver, nav_svin
 from support.corrections_bench import CorrectionsBench
 
@@ -71,6 +73,21 @@ async def test_a_survey_that_takes_longer_than_its_minimum(monkeypatch: pytest.M
         assert bench.status["survey"]["state"] == "surveying"
         await asyncio.sleep(60.0)
         assert bench.status["survey"]["state"] == "surveyed"
+
+
+async def test_one_that_floods_is_read_no_faster_than_a_caster(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = BaseReceiver()
+    async with at_work(base, monkeypatch, position=(43.78, -79.46, 150.0)):
+        await asyncio.sleep(5.0)
+        base.second = base.answer = lambda: None  # type: ignore[method-assign]
+        assert base.far is not None
+        sent = 0
+        for _ in range(20):
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    sent += base.far.send(b"\xd3\x03\xff" * 1000, socket.MSG_DONTWAIT)
+            await asyncio.sleep(0.05)
+        assert BURST_BYTES < sent <= BURST_BYTES + BYTES_PER_S + (1 << 19)  # and what the socket holds
 
 
 async def test_a_known_position(monkeypatch: pytest.MonkeyPatch) -> None:

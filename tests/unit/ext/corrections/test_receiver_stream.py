@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from io import BytesIO
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2 import ERR_IGNORE, NMEA_PROTOCOL, RTCM3_PROTOCOL, UBX_PROTOCOL, UBXReader
 
-from skygcs.core.radio_link.corrections import MAX_FRAME_BYTES
+from skygcs.core.radio_link.corrections import CHECKED_PER_BYTE, CHECKED_SAVED, MAX_FRAME_BYTES, crc24q
+from skygcs.ext.corrections import receiver_stream, ubx
 from skygcs.ext.corrections.receiver_stream import ReceiverStream
-from skygcs.ext.corrections.ubx import MAX_CONTENT_BYTES, UbxMessage, packed
+from skygcs.ext.corrections.ubx import MAX_CONTENT_BYTES, UbxMessage, checksum, packed
 from support.base_receiver import NMEA, ack, nav_svin
 from support.rtcm import GLONASS_BIASES_1230, STANDARD_1005, rtcm_frame
+from support.table import each
 
 UBX = st.one_of(
     st.builds(nav_svin, st.integers(0, 10**6), st.floats(0, 1000), valid=st.booleans()),
@@ -82,6 +85,19 @@ def test_damage_is_counted() -> None:
     assert found == [GLONASS_BIASES_1230]
     assert (stream.damaged, stream.rtcm, stream.ubx) == (3, 1, 0)
     assert stream.skipped_bytes == len(STANDARD_1005) + len(ack()) + 600
+
+
+@each("false", [b"\xd3\x03", b"\xd3\x03\xff", b"\xd3\x00", b"\xb5\x62\x01\x3b\xff\x03"])
+def test_a_stream_of_false_starts_costs_no_more_than_a_sound_one(false: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[int] = []
+    monkeypatch.setattr(receiver_stream, "crc24q", lambda raw: checked.append(len(raw)) or crc24q(raw))
+    monkeypatch.setattr(ubx, "checksum", lambda raw: checked.append(len(raw)) or checksum(raw))
+    stream, data = ReceiverStream(), false * 30_000
+    for at in range(0, len(data), 4096):
+        assert list(stream.feed(data[at : at + 4096])) == []
+    assert sum(checked) <= CHECKED_PER_BYTE * len(data) + CHECKED_SAVED
+    stream.feed(bytes(MAX_FRAME_BYTES + MAX_CONTENT_BYTES))
+    assert list(stream.feed(STANDARD_1005)) == [STANDARD_1005]
 
 
 @given(st.binary(max_size=5000))

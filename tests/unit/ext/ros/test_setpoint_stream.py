@@ -145,6 +145,16 @@ async def test_attitude_is_requested_while_body_frame_velocities_lack_it() -> No
     assert rig.bridge._rates_of_setpoints() == {}
 
 
+async def test_a_node_that_is_wrong_in_turns_does_not_flood_the_log() -> None:
+    rig = Rig()
+    topic, log = rig.node.subscribers["/alpha/mavros/setpoint_raw/local"], rig.node.publications["/rosout"]
+    before = log.sent
+    for n in range(2000):  # 200 Hz for 10 s
+        topic.give(coordinate_frame=1 + n % 2, type_mask=VELOCITY, velocity={"x": math.nan, "y": 1e300, "z": 0.0})
+        await asyncio.sleep(0.005)
+    assert rig.stream.refused == 2000 and 2 <= log.sent - before <= 20
+
+
 HERE, THERE = Origin(43.7806, -79.4653, 180.0, 90.0), Origin(43.7815, -79.4653, 180.0, 90.0)
 """THERE is 100 m to the north."""
 
