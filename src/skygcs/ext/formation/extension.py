@@ -18,6 +18,7 @@ from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
 from skygcs.core.plan.straight_flight import assigned
 from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.ext.formation.config import FormationConfig, formation_problems
@@ -78,6 +79,8 @@ class Formation(Extension[FormationConfig]):
         self._actors: dict[str, VehicleActor] = {}
         self._origin: Origin | None = None
         self._beginning = False
+        self._client = ClientIdentity(lambda: "the formation")
+        """The owner of the members' streams; another one for each formation."""
         self._stops = 0
         """Counts the orders to stop: one that comes while a formation is being begun ends that."""
         self._stepped_at = -math.inf
@@ -209,8 +212,10 @@ class Formation(Extension[FormationConfig]):
         self._actors = {actor.name: actor for actor in actors}
         self._numbers = {actor.name: actor.order_number for actor in actors}
         self._origin, self._stepped_at, self._reported = origin, now, None
+        self._client = ClientIdentity(lambda: "the formation")
         for actor in actors:
             actor.program = self
+            actor.stream.lead(self._client, VALID_S)
         self._report(f"{wanted.shape} of {', '.join(starts)} begins", {})
 
     def _starts(self, actors: Iterable[VehicleActor], now: float, *, moving: bool) -> dict[str, Vector]:
@@ -307,6 +312,7 @@ class Formation(Extension[FormationConfig]):
 
     def _end(self) -> None:
         """Nothing is sent any more. Idempotent."""
+        self._client.gone = True
         self._actors, self._numbers = {}, {}
 
     # -- while it flies
@@ -324,7 +330,7 @@ class Formation(Extension[FormationConfig]):
         references = flight.step(seen, self._led(flight, now), list(self._obstacles(self.keys, now)), dt_s, now)
         for name, (pos, vel, acc) in references.items():
             outcome = self.core.fleet.orders.setpoint(
-                name, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
+                name, self._client, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
             )[name]
             if not outcome.ok:
                 flight.stop(f"{name}: {outcome.message}")
