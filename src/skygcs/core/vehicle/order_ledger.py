@@ -167,9 +167,9 @@ def may_have_effect(outcome: Outcome | None) -> bool:
 
 # --- the owner of a stream of setpoints -------------------------------------------------------------------------------
 
-PAUSE_S = 1.0
-"""A client that has lost its stream begins a new one after a pause of so long, or of its deadline if that is longer:
-more than a joystick, a planner or MAVROS' users leave between two setpoints of one stream (2 Hz)."""
+PAUSE_S = 1.0, 5.0
+"""A client that has lost its stream begins a new one after a pause as long as its deadline, within these: more than a
+joystick, a planner or MAVROS' users leave between two setpoints of one stream (2 Hz)."""
 
 ORDERED = "another order was given"
 """How a client lost its stream to an order."""
@@ -235,7 +235,7 @@ class StreamOwner:
         if (lost := self._lost.get(client)) is not None:
             until, how = lost
             if now <= until:
-                pause_s = max(PAUSE_S, valid_s)
+                pause_s = _pause_s(valid_s)
                 self._lost[client] = now + pause_s, how
                 why = f"{how}: this client may begin again after a pause of {pause_s:g} s, or when control is set again"
             else:
@@ -269,7 +269,7 @@ class StreamOwner:
         client, self._client = self._client, None
         self._lost = {c: lost for c, lost in self._lost.items() if now <= lost[0] and not c.gone}
         if client is not None and client is not spares and not client.gone and now <= self._until:
-            self._lost[client] = now + max(PAUSE_S, self._valid_s), how
+            self._lost[client] = now + _pause_s(self._valid_s), how
 
     def engaged(self, *, anew: bool) -> None:
         """A person has setpoints followed, from now on: who had lost a stream may begin one. ``anew``: none were."""
@@ -283,3 +283,7 @@ class StreamOwner:
         owner = self.alive(now)
         stream = None if owner is None else {"client": owner.name, "left_s": round(self._until - now, 3)}
         return {"stream": stream, "setpoints_refused": self.refused}
+
+
+def _pause_s(valid_s: float) -> float:
+    return min(max(PAUSE_S[0], valid_s), PAUSE_S[1])
