@@ -444,7 +444,7 @@ class Session(ClientPeer):
         """Forget everything of this client. Its waiting calls are cancelled, except those that outlive it."""
         self._transport = None
         self.writable = False
-        self._identity.gone = True
+        self._identity.leave()
         self._hub.remove(self)
         self.keep()
         subscriptions, self._subscriptions = self._subscriptions, {}

@@ -577,7 +577,7 @@ class VehicleActor:
             with self.outcomes.tracked("control") as ended:
                 outcome = ended(await self.offboard.engage(ControlMode(mode), force=force))
             if outcome.ok:
-                self.stream.owner.engaged(anew=not flown)
+                self.stream.owner.engaged(self._loop.time(), anew=not flown)
                 self.runner.precedence.note_effect()
             return outcome
 
@@ -597,9 +597,12 @@ class VehicleActor:
     ) -> Outcome:
         """One setpoint of this client's stream in the fleet's world frame; fast enough for 50 calls a second.
         ``wanted``: see `_setpoint`. ``program``: which flies it, with others; None: a client does."""
-        if take_over and not isinstance(self.offboard, OffboardEngagement):
-            self.offboard.insist()
-        follow = partial(self._setpoint, valid_s, program, **wanted)
+
+        def follow() -> Outcome:
+            if take_over and not isinstance(self.offboard, OffboardEngagement):
+                self.offboard.insist()
+            return self._setpoint(valid_s, program, **wanted)
+
         outcome = self.stream.follow(client, valid_s, follow, take_over=take_over)
         if outcome.ok:
             self.program = program

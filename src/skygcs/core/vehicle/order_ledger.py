@@ -187,16 +187,20 @@ class ClientIdentity:
     def __init__(self, describe: Callable[[], str]) -> None:
         """``describe``: its name for people; called once, where it is first needed."""
         self.gone = False
-        """True once it is not there any more; set by whoever made this."""
-        self._describe = describe
-        self._name: str | None = None
+        """True once it is not there any more (`leave`)."""
+        self._describe: Callable[[], str] | None = describe
+        self._name = "a client that has left"
 
     @property
     def name(self) -> str:
         """Its name for people."""
-        if self._name is None:
-            self._name = self._describe()
+        if self._describe is not None:
+            self._name, self._describe = self._describe(), None
         return self._name
+
+    def leave(self) -> None:
+        """It is not there any more; nothing of it is kept but its name, where that was needed. Idempotent."""
+        self.gone, self._describe = True, None
 
 
 class StreamOwner:
@@ -271,12 +275,13 @@ class StreamOwner:
         if client is not None and client is not spares and not client.gone and now <= self._until:
             self._lost[client] = now + _pause_s(self._valid_s), how
 
-    def engaged(self, *, anew: bool) -> None:
-        """A person has setpoints followed, from now on: who had lost a stream may begin one. ``anew``: none were."""
-        self._lost.clear()
-        self._told.clear()
+    def engaged(self, now: float, *, anew: bool) -> None:
+        """Control was set: where none leads it, one that has lost a stream may begin one. ``anew``: it was off."""
         if anew:
             self._client = None
+        if self.alive(now) is None:
+            self._lost.clear()
+            self._told.clear()
 
     def status(self, now: float) -> dict[str, Any]:
         """The owner and the count of refusals, as control.status shows them."""

@@ -236,7 +236,7 @@ class GroundOrders:
         if actor is not None:
             self._keep(_engagement(actor), "the ground that gave it is gone")
         self._handed_over, self._followed, self._early = None, None, (0, {})
-        self._client.gone = True
+        self._client.leave()
         self._client = ClientIdentity(lambda: "the ground")
 
     def _keep(self, engagement: OffboardEngagement, why: str) -> None:

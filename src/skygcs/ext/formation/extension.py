@@ -314,7 +314,7 @@ class Formation(Extension[FormationConfig]):
 
     def _end(self) -> None:
         """Nothing is sent any more. Idempotent."""
-        self._client.gone = True
+        self._client.leave()
         self._actors, self._numbers = {}, {}
 
     # -- while it flies

@@ -175,6 +175,9 @@ Streamed = list[tuple[float, str, str | None]]
         # control is set again: who had lost it goes on; an owner beside it stays the owner
         [(0.0, "A", None), (0.1, "goto", None), (0.15, "A", "a goto"), (0.2, "engaged", None), (0.25, "A", None),
          (0.3, "engaged", None), (0.3, "B", "of A"), (0.31, "engaged anew", None), (0.32, "B", None)],
+        # beside an owner control is set in vain for one that has lost it, however often
+        [(0.0, "A", None), (0.1, "B!", None), (0.2, "engaged", None), (0.2, "A!", "B has"), (0.3, "B gone", None),
+         (0.3, "engaged", None), (0.3, "A", None)],
         # a program of the daemon that an order has begin
         [(0.0, "A", None), (0.1, "lead F", None), (0.2, "A", "F has taken it over"), (0.2, "B", "of F")],
         # two clients end at once, and one dies that had lost it
@@ -196,11 +199,11 @@ def test_a_stream_has_one_owner(streamed: Streamed) -> None:
             case ["goto"]:
                 owner.ended("a goto was ordered", now)
             case ["engaged", *anew]:
-                owner.engaged(anew=bool(anew))
+                owner.engaged(now, anew=bool(anew))
             case ["lead", name]:
                 owner.followed(clients[name], 0.5, now)
             case [name, "gone"]:
-                clients[name].gone = True
+                clients[name].leave()
             case [given]:
                 client = clients[given[0]]
                 why = owner.refusal(client, 0.5, now, take_over=given.endswith("!"))
@@ -218,5 +221,6 @@ def test_clients_that_come_and_go_leave_nothing_behind() -> None:
         assert owner.refusal(client, 0.5, i * 0.01, take_over=True) is None
         owner.followed(client, 0.5, i * 0.01)
         owner.is_new(ClientIdentity(lambda: "another"))
-        client.gone = i % 2 == 0
+        if i % 2 == 0:
+            client.leave()
     assert len(owner._lost) <= 101 and len(owner._told) <= MOST_TOLD
