@@ -282,9 +282,14 @@ def test_a_vehicle_follows_one_client_and_another_that_insists(daemon: DaemonPro
         """A client whose setpoints the vehicle follows."""
         command = daemon.command("setpoint", "bravo", "--vel", "0", "0", "0", "--valid", "5", *more)
         running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True))
-        pid = f"pid {running[-1].pid})"
-        wait_until(lambda: pid in (status(daemon, "bravo")["stream"] or {"client": ""})["client"], "it is followed")
-        return running[-1]
+        process, pid = running[-1], f"pid {running[-1].pid})"
+
+        def is_followed() -> bool:
+            return pid in (status(daemon, "bravo")["stream"] or {"client": ""})["client"]
+
+        wait_until(lambda: is_followed() or process.poll() is not None, "it is followed, or refused")
+        assert is_followed()
+        return process
 
     try:
         assert daemon.cli("control", "set", "bravo", "velocity").returncode == 0
