@@ -13,6 +13,7 @@ import pytest
 
 from skygcs.core.trajectory import ClockState
 from skygcs.core.trajectory.trajectory_clock import MAX_NOTED
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, circle_pieces, companion_pair, start_circle
@@ -125,6 +126,26 @@ async def test_the_setpoints_of_another_ground_are_followed(tmp_path: Path, monk
             await pair.done("control.setpoint", pos_enu_m=[8.0, 0.0, 10.0])
             await asyncio.sleep(0.1)
         assert pair.pi.place()[0] == pytest.approx(8.0, abs=0.5)
+
+
+async def test_a_client_of_the_companions_own_and_the_ground_do_not_fly_it_in_turns(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, px4=1, engaged="velocity") as pair:
+        still = {"vel_enu_mps": [0.0, 0.0, 0.0], "valid_s": 2.0}
+        await pair.pi.done("control.setpoint", **still)
+        await pair.done("control.setpoint", **still)  # relayed; the answer is that of the next one
+        await asyncio.sleep(0.5)
+        refused = await pair.outcome("control.setpoint", **still)
+        assert "follows the setpoints of client 0" in refused["message"], refused
+        await pair.outcome("control.setpoint", take_over=True, **still)
+        await asyncio.sleep(0.5)
+        assert pair.pi.control()["stream"]["client"] == "the ground"
+        assert (await pair.pi.outcome("control.setpoint", **still))["taken"]
+        other = ClientIdentity(lambda: "script")
+        assert (await pair.outcome("control.setpoint", client=other, **still))["taken"]
+        await pair.done("vehicles.goto", enu_m=[3.0, 0.0, 10.0])
+        await asyncio.sleep(0.5)
+        assert pair.pi.control()["stream"] is None
+        await pair.done("control.setpoint", client=other, **still)
 
 
 async def test_a_goto_is_not_undone_by_a_setpoint_that_was_given_before_it(tmp_path: Path) -> None:

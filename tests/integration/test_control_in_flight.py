@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.errors import RefusedError
 from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, aloft
@@ -153,3 +154,46 @@ async def test_from_way_to_way_in_flight(tmp_path: Path, kind: dict[str, int]) -
         assert not gcs.commands(began)
         gaps = [b.at - a.at for a, b in zip(gcs.setpoints(began), gcs.setpoints(began)[1:], strict=False)]
         assert max(gaps) < 0.3 and math.isfinite(max(gaps))
+
+
+async def test_one_client_leads_each_vehicle_and_orders_are_not_refused_for_it(tmp_path: Path) -> None:
+    """Two that streamed were followed in turns, unseen."""
+    a, b = (ClientIdentity(lambda name=name: name) for name in ("planner", "script"))  # type: ignore[misc]
+    slow = {"vel_enu_mps": [0.5, 0.0, 0.0]}
+
+    async with aloft(tmp_path, px4=2) as gcs:
+        await gcs.fly("velocity", targets="all")
+        began = gcs.now
+        for _ in range(10):
+            await gcs.done("control.setpoint", client=a, **slow)
+            both = (await gcs("control.setpoint", targets="all", client=b, vel_enu_mps=[0.0, -0.5, 0.0]))["outcomes"]
+            assert both["v2"]["ok"] and both["v1"]["taken"] and "setpoints of planner" in both["v1"]["message"], both
+            await asyncio.sleep(0.05)
+        shown = gcs.control()
+        assert shown["stream"]["client"] == "planner" and 0.0 < shown["stream"]["left_s"] <= 0.5
+        assert shown["setpoints_refused"] == 10 and gcs.control("v2")["setpoints_refused"] == 0
+        await gcs.done("control.setpoint", client=b, take_over=True, **slow)
+        for _ in range(30):  # longer than the deadline of what it took over with
+            late = await gcs.outcome("control.setpoint", client=a, take_over=True, **slow)
+            assert late["taken"] and "script has taken it over" in late["message"], late
+            await asyncio.sleep(0.05)
+        how = "take_over: true (--take-over) takes it over"
+        again = "this client may begin again after a pause of 1 s, or when control is set again"
+        assert gcs.texts(began) == [
+            f"setpoints of script are refused: it follows the setpoints of planner, each valid for 0.5 s; {how}",
+            "script has taken over from the setpoints of planner",
+            f"setpoints of planner are refused: script has taken it over: {again}",
+            "the setpoints ended: it stays where it is",
+        ]
+        for method, given in (
+            ("vehicles.goto", {"enu_m": [0.0, 0.0, 10.0]}),
+            ("control.set", {"mode": "off"}),
+            ("vehicles.hold", {}),
+            ("vehicles.rtl", {}),
+            ("vehicles.land", {}),
+        ):
+            await gcs.fly("velocity")
+            await gcs.done("control.setpoint", client=a, valid_s=5.0, **slow)
+            await gcs.done(method, **given)
+            assert not (await gcs.outcome("control.setpoint", client=a, take_over=True, **slow))["ok"], method
+            assert gcs.control()["stream"] is None

@@ -15,6 +15,7 @@ import pytest
 
 from skygcs.config.models import FleetConfig
 from skygcs.core.separation import POSITION_ERROR_M, WINGSPAN_M
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.conditions import Conditions
@@ -143,6 +144,34 @@ async def test_an_order_to_a_member_takes_it_out(tmp_path: Path) -> None:
         await asyncio.sleep(12.0)
         assert "another order" in (await status(gcs))["reason"]
         assert gcs.place("v1")[1] > 8.0
+
+
+async def test_a_client_takes_a_member_out_if_it_insists_and_one_client_guides_it(tmp_path: Path) -> None:
+    a, b = (ClientIdentity(lambda name=name: name) for name in ("planner", "script"))  # type: ignore[misc]
+    async with formed(tmp_path, px4=2) as gcs:
+        await gcs.fly("position", targets="v1")
+        await gcs.done("control.setpoint", client=a, pos_enu_m=[*gcs.place("v1")], valid_s=5.0)
+        await gcs("formation.start", targets=["v1", "v2"], shape="current")
+        for given, why in (({}, "the formation has taken it over"), ({"client": b}, "setpoints of the formation")):
+            given = {"client": a, "pos_enu_m": [*gcs.place("v1")], **given}
+            assert why in (await gcs.outcome("control.setpoint", **given))["message"]
+        places = {"v1": {"pos_enu_m": list(gcs.place("v1"))}}
+        await gcs("formation.guide", places=places, client=a)
+        with pytest.raises(RefusedError, match="setpoints of planner, each valid for 1 s"):
+            await gcs("formation.guide", places=places, client=b)
+        await gcs("formation.guide", places=places, client=b, take_over=True)
+        for how in ("script has taken it over", "another order"):
+            with pytest.raises(RefusedError, match=how):
+                await gcs("formation.guide", places=places, client=a if "script" in how else b)
+            await gcs("formation.move")
+        assert (await status(gcs))["state"] == "flying"
+        await gcs.done("control.setpoint", client=b, take_over=True, pos_enu_m=[*gcs.place("v1")])
+        await asyncio.sleep(1.0)
+        assert "setpoints of a client" in (await status(gcs))["reason"]
+        await gcs("formation.start", targets=["v1", "v2"], shape="current")
+        await gcs("formation.stop")
+        await asyncio.sleep(3.0)
+        await gcs.done("control.setpoint", client=a, pos_enu_m=[*gcs.place("v1")])
 
 
 @covered_by_other_flights

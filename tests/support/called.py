@@ -7,21 +7,27 @@ import json
 from types import SimpleNamespace
 from typing import Any
 
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.daemon import Daemon
 from skygcs.ext.plans.extension import Plans
 from skygcs.rpc.dispatch import Encoded
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.slices import Slices
 
+ANYBODY = ClientIdentity(lambda: "client 0")
 
-async def call(daemon: Daemon, name: str, /, *, reports: Any = None, **params: Any) -> Any:
+
+async def call(
+    daemon: Daemon, name: str, /, *, reports: Any = None, client: ClientIdentity = ANYBODY, **params: Any
+) -> Any:
     """The method's result. Raises what the method raises, and pydantic's error for parameters. ``reports``: a
-    `runtime.fleet.Reports` of a client that asks for the outcomes as they come."""
+    `runtime.fleet.Reports` of a client that asks for the outcomes as they come. ``client``: which calls."""
     if name not in METHODS:
         daemon.extensions.demand(name.partition(".")[0])
     of_extensions = {method.name: method for method in daemon.extensions.methods}
     method = of_extensions.get(name) or METHODS[name]
-    context: Any = SimpleNamespace(services=daemon, slices=Slices(asyncio.get_running_loop()), reports=reports)
+    slices = Slices(asyncio.get_running_loop())
+    context: Any = SimpleNamespace(services=daemon, slices=slices, reports=reports, client=client)
     answer = method.handler(context, method.params.model_validate(params))
     result = await answer if asyncio.iscoroutine(answer) else answer
     return json.loads(result.body) if isinstance(result, Encoded) else result

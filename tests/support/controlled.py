@@ -33,6 +33,8 @@ OFF: dict[str, Any] = {
     **dict.fromkeys(("roll_deg", "pitch_deg", "recording"), None),
     **dict.fromkeys(("ticks", "late", "skipped"), 0),
     "raw": None,
+    "stream": None,
+    "setpoints_refused": 0,
     "trajectory": None,
     "prediction": None,
     "saturation": [],
@@ -146,9 +148,10 @@ class ControlledFleet(FakeFleet):
         super().__init__(vehicles)
         self.origin = Origin(43.7806, -79.4653, 180.0)
 
-    def setpoint(self, targets: str | list[str], /, **setpoint: Any) -> dict[str, FakeOutcome]:
+    def setpoint(self, targets: str | list[str], client: object, /, **setpoint: Any) -> dict[str, FakeOutcome]:
         vehicles = [v for v in self.resolve(targets) if isinstance(v, ControlledVehicle)]
-        return {v.name: v.take({k: x for k, x in setpoint.items() if x is not None}) for v in vehicles}
+        given = {k: x for k, x in setpoint.items() if x is not None and not (k == "take_over" and x is False)}
+        return {v.name: v.take(given) for v in vehicles}
 
 
 class Commanded(Served[FakeDaemon]):

@@ -273,3 +273,43 @@ def test_what_is_no_joystick_and_what_is_no_vehicle_is_refused(daemon: DaemonPro
         done = daemon.cli("joystick", vehicle)
         assert done.returncode in (1, 2) and "Traceback" not in done.stderr
         assert "plug it in" not in done.stderr, "the vehicle is looked at first"
+
+
+def test_a_vehicle_follows_one_client_and_another_that_insists(daemon: DaemonProcess, joystick: Joystick) -> None:
+    running: list[subprocess.Popen[str]] = []
+
+    def stream(*more: str) -> subprocess.Popen[str]:
+        """A client whose setpoints the vehicle follows."""
+        command = daemon.command("setpoint", "bravo", "--vel", "0", "0", "0", "--valid", "5", *more)
+        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True))
+        process, pid = running[-1], f"pid {running[-1].pid})"
+
+        def is_followed() -> bool:
+            return pid in (status(daemon, "bravo")["stream"] or {"client": ""})["client"]
+
+        wait_until(lambda: is_followed() or process.poll() is not None, "it is followed, or refused")
+        assert is_followed()
+        return process
+
+    try:
+        assert daemon.cli("control", "set", "bravo", "velocity").returncode == 0
+        first = stream()
+        refused = daemon.cli("setpoint", "bravo", "--vel", "0", "0", "0", "--for", "0")
+        assert refused.returncode == 1 and f"pid {first.pid}), each valid for 5 s" in " ".join(refused.stderr.split())
+        flown = Flown(daemon, joystick.plugged(), "bravo")
+        flown.says("ready: hold button 5")
+        joystick.button(BUTTON, 1)
+        assert flown.ended() == 1
+        flown.says(f"pid {first.pid}), each")
+        assert first.poll() is None, "the vehicle was left to it"
+        second = stream("--take-over")
+        assert first.wait(HANG_S) == 1 and first.stdout is not None and "has taken it over" in first.stdout.read()
+        second.kill()
+        second.wait()
+        stream()  # its setpoints were good for longer
+        assert daemon.cli("hold", "bravo").returncode == 0
+        assert status(daemon, "bravo")["stream"] is None
+    finally:
+        for process in running:
+            process.kill()
+            process.communicate()

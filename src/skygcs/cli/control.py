@@ -312,9 +312,11 @@ def track_cells(state: State) -> tuple[str, ...]:
 
 
 def track_reasons(state: State) -> str:
-    """Why the requested mode is not flown, and the trajectory it follows; "" if there is nothing to say."""
+    """Why the requested mode is not flown, and the client or trajectory it follows; "" if there is nothing to say."""
     control: Mapping[str, Any] = state.get("control") or {}
     reasons = [str(reason) for reason in control.get("reasons") or ()]
+    if stream := control.get("stream"):
+        reasons.append(f"follows the setpoints of {stream['client']}")
     trajectory = control.get("trajectory")
     if trajectory:
         at, of = trajectory["trajectory_s"], trajectory["duration_s"]

@@ -112,6 +112,10 @@ Valid = Annotated[
         "--valid", metavar="S", help="How long each is valid; then the vehicle stays where it is.", parser=finite
     ),
 ]
+TakeOver = Annotated[
+    bool,
+    typer.Option("--take-over", help="Although they follow the setpoints of another client, which loses them."),
+]
 
 
 def setpoint(
@@ -129,6 +133,7 @@ def setpoint(
     rate_hz: RateHz = None,
     stdin: Stdin = False,
     valid_s: Valid = None,
+    take_over: TakeOver = False,
     json_output: Json = False,
 ) -> None:
     """Stream setpoints to vehicles under `control`.
@@ -154,15 +159,14 @@ def setpoint(
     rate, valid_for_s = _pace(rate_hz, valid_s, stdin=stdin)
 
     async def command(gcs: Client) -> int:
-        sender = Sender(gcs, valid_for_s, fail)
+        sender = Sender(gcs, valid_for_s, fail, take_over=take_over)
         if rate is None or stdin:  # from standard input, or one setpoint repeated
             sending = forward(sender, targets, bytes_of(sys.stdin.fileno()), rate)
         else:
             if sys.stderr.isatty():
                 say(f"streaming to {targets} at {rate:g} Hz; Ctrl-C stops", err=True)
             sending = repeat(sender, targets, given, rate, duration_s)
-        clock = asyncio.get_running_loop().time
-        began = clock()
+        began = asyncio.get_running_loop().time()
         after = f"from {valid_for_s:g} s after the last setpoint on, still under control"
         try:  # send until the source ends
             await sending
@@ -170,7 +174,7 @@ def setpoint(
             after = "only if its autopilot's failsafe does so: the daemon, which sent the setpoints, is gone"
             raise
         finally:
-            _report_end(sender.tally, clock() - began, after, json_output)
+            _report_end(sender.tally, asyncio.get_running_loop().time() - began, after, json_output)
         return Exit.DONE if sender.tally.ok else Exit.FAILED
 
     run(command)
@@ -518,16 +522,17 @@ class SetpointTally:
 class Sender:
     """Sends setpoints one after the other. ``report(text)`` gets every change: refused, accepted again."""
 
-    def __init__(self, gcs: Client, valid_s: float, report: Callable[[str], None]) -> None:
+    def __init__(self, gcs: Client, valid_s: float, report: Callable[[str], None], *, take_over: bool = False) -> None:
         self.tally = SetpointTally()
         self.report = report
         self._gcs = gcs
-        self._valid_s = valid_s
+        self._way: dict[str, Any] = {"valid_s": valid_s, **({"take_over": True} if take_over else {})}
+        """Parameters that all of them have."""
 
     async def send(self, targets: str, setpoint: Setpoint) -> bool:
         """True if any vehicle accepted it. Raises RpcError as `Client.call`."""
         self.tally.sent += 1  # before the answer: an interrupted wait counts as sent, too
-        answer = await self._gcs.call("control.setpoint", targets=targets, **setpoint, valid_s=self._valid_s)
+        answer = await self._gcs.call("control.setpoint", targets=targets, **setpoint, **self._way)
         outcomes: dict[str, dict[str, Any]] = answer["outcomes"]
         news: dict[str, list[str]] = {}
         for name, outcome in outcomes.items():

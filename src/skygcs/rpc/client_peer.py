@@ -133,6 +133,22 @@ class ClientPeer(asyncio.Protocol):
             return Credentials(*struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)))
         return None
 
+    @property
+    def peer(self) -> str:
+        """The program at the other end for people: its name and process, or its address; empty: not known."""
+        found = self.credentials
+        if found is None:
+            address = None if self._transport is None else self._transport.get_extra_info("peername")
+            return f"{address[0]}:{address[1]}" if isinstance(address, tuple) else ""
+        if found.pid <= 0:
+            return ""  # of another container
+        try:
+            with open(f"/proc/{found.pid}/comm", "rb") as file:
+                name = file.read(64).decode(errors="replace").strip()
+        except OSError:  # it has ended, or there is no /proc
+            return f"pid {found.pid}"
+        return f"{''.join(c if c.isprintable() else '?' for c in name)}, pid {found.pid}"
+
     # -- asyncio.Protocol
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.errors import TargetError
 from skygcs.rpc import error_codes
 from skygcs.rpc.dispatch import Encoded, Method
@@ -103,8 +104,8 @@ class Context(Protocol):
         ...
 
     @property
-    def client(self) -> object:
-        """Identity of the client, the same for all of its requests."""
+    def client(self) -> ClientIdentity:
+        """Identity of the client, the same for all of its requests; ``gone`` once its connection has ended."""
         ...
 
     def subscribe(self, params: SubscribeParams) -> int: ...

@@ -197,6 +197,10 @@ class SetpointParams(TargetsParams):
         None, description="Raw: collective, beside an attitude or body rates."
     )
     force: bool = Field(False, description="Follow it although it leads too close to another vehicle.")
+    take_over: bool = Field(
+        False,
+        description="Follow it although the vehicle follows the setpoints of another client, which loses it.",
+    )
 
     @model_validator(mode="after")
     def _say_every_axis(self) -> SetpointParams:
@@ -247,6 +251,11 @@ class ControlReference(Result):
     yaw_deg: float | None
 
 
+class StreamState(Result):
+    client: str = Field(description="The client, for people.")
+    left_s: float = Field(description="Until the deadline of its newest setpoint: then another client may begin.")
+
+
 class ControlState(Result):
     """The state's ``control`` section, with the vehicle's name where it stands alone."""
 
@@ -291,6 +300,8 @@ class ControlState(Result):
     roll_deg: float | None
     pitch_deg: float | None
     recording: str | None
+    stream: StreamState | None = Field(description="Whose setpoints it follows; null: nobody's.")
+    setpoints_refused: int = Field(description="Refused as it followed those of another client, since it is known.")
 
 
 async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
@@ -313,8 +324,11 @@ async def control_gains(context: Context, params: ControlGainsParams) -> JsonObj
 
 
 def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
-    """One setpoint of a stream, up to 50 a second, after control.set."""
-    return as_json(context.services.fleet.orders.setpoint(params.targets, **params.arguments()))
+    """One setpoint of a stream, up to 50 a second, after control.set.
+
+    A vehicle follows the stream of one client, until its deadline or the end of its connection.
+    """
+    return as_json(context.services.fleet.orders.setpoint(params.targets, context.client, **params.arguments()))
 
 
 def control_status(context: Context, params: ListParams) -> list[JsonObject]:

@@ -188,6 +188,11 @@ class OutcomeResult(Result):
         description="Of an order that moves the vehicle and was sent: its number, for vehicles.hold; else left out. "
         "Numbers of another run of skygcs name no order.",
     )
+    taken: bool = Field(
+        False,
+        description="true: a setpoint was refused as the vehicle follows another client, or an order, instead; else "
+        "left out.",
+    )
 
 
 class Outcomes(Result):

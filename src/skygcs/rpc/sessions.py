@@ -21,6 +21,7 @@ from typing import Any
 
 import structlog
 
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.descriptors import is_of_the_last
 from skygcs.events import Event
 from skygcs.rpc import client_peer, dispatch, error_codes
@@ -115,6 +116,7 @@ class Session(ClientPeer):
         self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
         self._at_end: dict[object, Callable[[], None]] = {}
+        self._identity, self._number = ClientIdentity(self._described_peer), 0
         self._deadline: asyncio.TimerHandle | None = None
 
     # -- asyncio.Protocol and ClientPeer
@@ -128,6 +130,7 @@ class Session(ClientPeer):
             self._transport = None
             return
         hub.counters["connections"] += 1
+        self._number = hub.counters["connections"]
         hub.admit(self)
         if not self.authenticated:
             self.close_after(AUTH_TIMEOUT_S)
@@ -153,8 +156,11 @@ class Session(ClientPeer):
     # -- the session as methods see it (Context) and as subscriptions see it (Sink)
 
     @property
-    def client(self) -> object:
-        return self
+    def client(self) -> ClientIdentity:
+        return self._identity
+
+    def _described_peer(self) -> str:
+        return f"client {self._number} ({self.peer})" if self.peer else f"client {self._number}"
 
     def subscribe(self, params: SubscribeParams) -> int:
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
@@ -438,6 +444,7 @@ class Session(ClientPeer):
         """Forget everything of this client. Its waiting calls are cancelled, except those that outlive it."""
         self._transport = None
         self.writable = False
+        self._identity.leave()
         self._hub.remove(self)
         self.keep()
         subscriptions, self._subscriptions = self._subscriptions, {}

@@ -18,6 +18,7 @@ from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import copter_mode
 from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -279,19 +280,21 @@ class FleetOrders:
         order = home_orders.push_origin
         return await self.command_all(expression, order, self._targets.origin, reports=reports, home=home, force=force)
 
-    def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
-        """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError, and RefusedError for
-        one position for several vehicles.
+    def setpoint(
+        self, expression: str | int | Sequence[str | int], client: ClientIdentity, /, **setpoint: Any
+    ) -> dict[str, Outcome]:
+        """One setpoint of a client's stream to each of the vehicles; see `VehicleActor.setpoint`. Each follows it or
+        refuses it for itself. Raises TargetError.
         """
         actors = self._targets.resolve(expression)
         if len(actors) > 1 and setpoint.get("pos_enu_m") is not None:
             one_place = "several vehicles were sent to one position; send each its own setpoint"
             return {actor.name: Outcome(False, "refused", f"refused: {one_place}") for actor in actors}
-        return {actor.name: self._setpoint(actor, setpoint) for actor in actors}
+        return {actor.name: self._setpoint(actor, client, setpoint) for actor in actors}
 
-    def _setpoint(self, actor: VehicleActor, setpoint: dict[str, Any]) -> Outcome:
+    def _setpoint(self, actor: VehicleActor, client: ClientIdentity, setpoint: dict[str, Any]) -> Outcome:
         why = self._links.authority_refusal(actor.sysid)
-        return actor.setpoint(**setpoint) if why is None else Outcome.refused(why)
+        return actor.setpoint(client, **setpoint) if why is None else Outcome.refused(why)
 
     async def _decide(self, actors: Sequence[Actor], given: Given, arguments: dict[str, Any]) -> Decided:
         """Decide what each vehicle is to do; takes out of ``arguments`` what is only for that. Nothing is sent yet."""

@@ -10,21 +10,26 @@ sent here.
     `late`                                      before its plan is executed: awaits the end of a later one in progress
     `taken`, `pilot_since`                      before each transmission, and between two attempts
     `superseded`                                where it takes effect without a plan
+
+And of one vehicle's setpoints, whether they are those of the client that it follows (`StreamGate`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
-from skygcs.core.protocols.command import CommandSpec
+from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.autopilot import arms
 from skygcs.core.vehicle.flight_evidence import disarmed_since
-from skygcs.core.vehicle.order_ledger import OrderLedger
+from skygcs.core.vehicle.order_ledger import ClientIdentity, OrderLedger, StreamOwner
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.stick_modes import Hands, hands, taken_since
 from skygcs.core.vehicle.takeoff_watch import reports_takeoff
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
 from skygcs.runtime.command_client import EVERYWHERE, SUPERSEDED
 from skygcs.runtime.task_set import ORDER_SERIAL, Asked, ask
 
@@ -145,3 +150,51 @@ def arms_in(plan: Plan) -> bool:
 def commands_of(plan: Plan) -> list[CommandSpec]:
     """The commands of a plan, in their order."""
     return [step.command for step in plan.steps if step.command is not None]
+
+
+class StreamGate:
+    """The gate that every setpoint to one vehicle comes through; `StreamOwner` decides whose stream it follows."""
+
+    def __init__(
+        self,
+        owner: StreamOwner,
+        vehicle: Vehicle,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+        flying: Callable[[], bool],
+    ) -> None:
+        """``flying()``: True while the vehicle flies by setpoints."""
+        self.owner = owner
+        self._vehicle = vehicle
+        self._loop = loop
+        self._on_event = on_event
+        self._flying = flying
+
+    def follow(
+        self, client: ClientIdentity, valid_s: float, follow: Callable[[], Outcome], *, take_over: bool = False
+    ) -> Outcome:
+        """Follow one setpoint of this client, good for ``valid_s``, unless the vehicle follows those of another."""
+        owner, now = self.owner, self._loop.time()
+        why = owner.refusal(client, valid_s, now, take_over=take_over)
+        if not self._flying():
+            return follow()  # which refuses it for a reason of its own
+        if why is not None:
+            if owner.is_new(client):
+                self._report(f"setpoints of {client.name} are refused: {why}", client)
+            return replace(Outcome.refused(why), taken=True)
+        outcome = follow()
+        if outcome.ok and (before := owner.followed(client, valid_s, now)) is not None:
+            self._report(f"{client.name} has taken over from the setpoints of {before.name}", client)
+        return outcome
+
+    def lead(self, client: ClientIdentity, valid_s: float) -> None:
+        """An order has this client fly it: its stream takes the place of any other."""
+        if (before := self.owner.followed(client, valid_s, self._loop.time())) is not None:
+            self._report(f"{client.name} has taken over from the setpoints of {before.name}", client)
+
+    def ended(self, how: str, *, spares: ClientIdentity | None = None) -> None:
+        """An order leads it from now on; see `StreamOwner.ended`."""
+        self.owner.ended(how, self._loop.time(), spares=spares)
+
+    def _report(self, text: str, client: ClientIdentity) -> None:
+        self._on_event(Event("control", self._vehicle.name, self._vehicle.sysid, text, {"client": client.name}))

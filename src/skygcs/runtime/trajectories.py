@@ -299,6 +299,7 @@ class Trajectories:
         self._groups.append(group)
         for actor, flight in flights.items():
             actor.runner.precedence.note_effect()
+            actor.stream.ended("a trajectory was started")
             group.serials[actor] = actor.runner.ledger.effective_serial
             text = (
                 f"{flight.loaded.name} begins in {at_s - now:.1f} s and takes {flight.duration_s / speed_factor:.1f} s"

@@ -32,6 +32,7 @@ from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
 from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
+from skygcs.core.vehicle.order_ledger import ClientIdentity, StreamOwner
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import Action
 from skygcs.core.vehicle.raw_setpoint import raw_from_world
@@ -51,6 +52,7 @@ from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.order_precedence import StreamGate
 from skygcs.runtime.order_runner import OrderOutcomes, OrderRunner
 from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
@@ -114,6 +116,8 @@ class VehicleActor:
         self.outcomes = OrderOutcomes(self.vehicle, services.loop, services.on_event)
         self.runner = self._new_runner(services)
         self.offboard = self._new_offboard(services)
+        owner, offboard = StreamOwner(self.runner.ledger), self.offboard
+        self.stream = StreamGate(owner, vehicle, services.loop, services.on_event, lambda: offboard.flying)
         self.unattended = self._new_unattended(flown_before)
         after_takeoff = config.control.engage_after_takeoff or "off"
         self.takeoffs = Takeoffs(vehicle, after_takeoff, self.runner, self._engage, services.loop, services.on_event)
@@ -247,11 +251,12 @@ class VehicleActor:
     def control_state(self, now: float) -> dict[str, Any]:
         """Control by setpoints, in the fleet's world frame."""
         offboard = self.offboard
+        stream = self.stream.owner.status(now)
         if not isinstance(offboard, OffboardEngagement):
-            return offboard.status(now)
+            return offboard.status(now) | stream
         state = shown(offboard.status(now), offboard.controller.frame, self.vehicle.origin)
         successor = [] if offboard.successor is None else [f"another order takes over: {offboard.successor}"]
-        return state | {"successor": offboard.successor, "reasons": [*successor, *state["reasons"]]}
+        return state | stream | {"successor": offboard.successor, "reasons": [*successor, *state["reasons"]]}
 
     def describe(self, now: float) -> dict[str, Any]:
         """Its autopilot as one component of its system; see `component.describe`."""
@@ -474,6 +479,7 @@ class VehicleActor:
             return self.refuse("goto", why)
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
         self.program = None
+        self.stream.ended("a goto was ordered")
         outcome = await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         if outcome.ok:
             self.runner.precedence.note_effect()
@@ -567,9 +573,11 @@ class VehicleActor:
         if self._closed:
             return self.outcomes.finish("control", Outcome.refused(f"{self._closed}: nothing flies it any more"))
         with numbered():
+            flown = self.offboard.flying
             with self.outcomes.tracked("control") as ended:
                 outcome = ended(await self.offboard.engage(ControlMode(mode), force=force))
             if outcome.ok:
+                self.stream.owner.engaged(self._loop.time(), anew=not flown)
                 self.runner.precedence.note_effect()
             return outcome
 
@@ -580,20 +588,41 @@ class VehicleActor:
 
     def setpoint(
         self,
+        client: ClientIdentity,
+        *,
+        take_over: bool = False,
+        valid_s: float = 0.5,
+        program: SetpointProgram | None = None,
+        **wanted: Any,
+    ) -> Outcome:
+        """One setpoint of this client's stream in the fleet's world frame; fast enough for 50 calls a second.
+        ``wanted``: see `_setpoint`. ``program``: which flies it, with others; None: a client does."""
+
+        def follow() -> Outcome:
+            if take_over and not isinstance(self.offboard, OffboardEngagement):
+                self.offboard.insist()
+            return self._setpoint(valid_s, program, **wanted)
+
+        outcome = self.stream.follow(client, valid_s, follow, take_over=take_over)
+        if outcome.ok:
+            self.program = program
+        return outcome
+
+    def _setpoint(
+        self,
+        valid_s: float,
+        program: SetpointProgram | None,
         *,
         pos_enu_m: Sequence[float | None] | None = None,
         vel_enu_mps: Sequence[float | None] | None = None,
         acc_enu_mps2: Sequence[float] | None = None,
         yaw_deg: float | None = None,
         yaw_rate_dps: float | None = None,
-        valid_s: float = 0.5,
         force: bool = False,
-        program: SetpointProgram | None = None,
         **raw: Any,
     ) -> Outcome:
-        """One setpoint of a stream in the fleet's world frame; fast enough for 50 calls a second. ``raw``: see
-        `raw_setpoint.raw_from_world`; also an acceleration alone. ``force``: although it leads too close to another
-        vehicle. ``program``: which flies it, with others; None: a client does."""
+        """``raw``: see `raw_setpoint.raw_from_world`; also an acceleration alone. ``force``: although it leads too
+        close to another vehicle."""
         # a raw setpoint of the user's own controller, or a reference
         origin = self.vehicle.origin
         if origin is None:
@@ -611,11 +640,7 @@ class VehicleActor:
         checks = self.services.order_checks
         if not force and (why := checks.setpoint_refusal(self.vehicle, wanted, together)) is not None:
             return Outcome.refused(why)
-        # follow it
-        outcome = self.offboard.follow(wanted, valid_s)
-        if outcome.ok:
-            self.program = program
-        return outcome
+        return self.offboard.follow(wanted, valid_s)
 
     def plan(self, planner: Callable[[Vehicle, float], Plan]) -> Plan | None:
         """The plan of `orders.land` or `orders.rtl` now; None if it is refused."""

@@ -90,10 +90,11 @@ def test_track_on_a_pipe_is_a_line_for_each_update(fleet: Commanded) -> None:
         **FLYING,
         "control_mode": "velocity",
         "reasons": ["delay 0.2 s (limit 0.1 s)"],
+        "stream": {"client": "client 3 (python)", "left_s": 0.4},
     }
     (line,) = fleet.run("track", "alpha", "--count", "1").splitlines()
     assert line.startswith("alpha  attitude  velocity  error 0.50 m")
-    assert line.endswith("limits tilt  (delay 0.2 s (limit 0.1 s))")
+    assert line.endswith("limits tilt  (delay 0.2 s (limit 0.1 s); follows the setpoints of client 3 (python))")
     (line,) = fleet.run("track", "alpha", "--count", "1", "--json").splitlines()
     assert json.loads(line)["control"]["ticks"] == 12345
 

@@ -50,10 +50,11 @@ def test_one_setpoint_is_streamed_and_its_end_reported(fleet: Commanded) -> None
 
 
 def test_axes_may_be_left_to_a_velocity(fleet: Commanded) -> None:
-    fleet.run("setpoint", "alpha", "--vel", "-1", "0", "-", "--pos", "-", "-", "10", "--for", "0", "--valid", "1")
-    assert fleet.vehicles["alpha"].setpoints == [
-        {"pos_enu_m": [None, None, 10.0], "vel_enu_mps": [-1.0, 0.0, None], "valid_s": 1.0, "force": False}
-    ]
+    given = ("--vel", "-1", "0", "-", "--pos", "-", "-", "10", "--for", "0", "--valid", "1")
+    fleet.run("setpoint", "alpha", *given)
+    fleet.run("setpoint", "alpha", *given, "--take-over")
+    sent = {"pos_enu_m": [None, None, 10.0], "vel_enu_mps": [-1.0, 0.0, None], "valid_s": 1.0, "force": False}
+    assert fleet.vehicles["alpha"].setpoints == [sent, {**sent, "take_over": True}]
 
 
 def test_a_slow_rate_makes_each_setpoint_good_until_the_next(fleet: Commanded) -> None:

@@ -286,6 +286,8 @@ class Outcome:
     status_texts: tuple[str, ...] = ()
     order_number: int | None = None
     """Number of an order that moves the vehicle, among those of this daemon; None: it does not, or was not begun."""
+    taken: bool = False
+    """True for a setpoint that was refused as the vehicle follows another client, or an order, instead."""
 
     @classmethod
     def refused(cls, why: str) -> Self:
@@ -293,7 +295,7 @@ class Outcome:
         return cls(False, "refused", f"refused: {why}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return its fields for the answers of methods; an order without a number has no such field."""
+        """Return its fields for the answers of methods; ``order_number`` and ``taken`` only if they are set."""
         number = {} if self.order_number is None else {"order_number": self.order_number}
         return {
             "ok": self.ok,
@@ -303,6 +305,7 @@ class Outcome:
             "elapsed_s": round(self.elapsed_s, 3),
             "status_texts": list(self.status_texts),
             **number,
+            **({"taken": True} if self.taken else {}),
         }
 
 

@@ -1,5 +1,5 @@
 """The ledger of the orders to one vehicle: which of them counts, whether one of them may have armed it, and which mode
-is of ours although it shows late. Pure.
+is of ours although it shows late; and whose stream of setpoints it follows. Pure.
 
 Orders are not sent in the sequence in which they are asked for, and a vehicle may refuse one. So each has two counts:
 
@@ -8,12 +8,29 @@ Orders are not sent in the sequence in which they are asked for, and a vehicle m
 
 An order is *in progress* until it has an outcome, and *effective* from then on if it may move the vehicle: one that is
 refused, too, if the vehicle has changed its mode for it before.
+
+A stream of setpoints has one owner (`StreamOwner`):
+
+    the stream that is followed               a setpoint of                   is
+    ---------------------------------------   -----------------------------   -----------------------------------------
+    none; its deadline has passed; its        anybody                         followed: that client is the owner
+    owner is gone
+    alive                                     its owner                       followed
+    alive                                     another                         refused
+    alive                                     another, with ``take_over``     followed: the owner before has lost it
+    ended by an order while it was alive      the owner                       refused: it has lost it
+    any                                       a client that has lost it       refused until it has paused, or control is
+                                                                              engaged again
+
+A client that has lost its stream sends on until it notices, or for ever: neither a setpoint that comes late nor a
+program that always insists takes the vehicle back unseen.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S
@@ -146,3 +163,132 @@ def may_have_effect(outcome: Outcome | None) -> bool:
     if outcome is None or outcome.ok:
         return True
     return outcome.attempts > 0 and outcome.result not in REFUSALS | {"refused"}
+
+
+# --- the owner of a stream of setpoints -------------------------------------------------------------------------------
+
+PAUSE_S = 1.0, 5.0
+"""A client that has lost its stream begins a new one after a pause as long as its deadline, within these: more than a
+joystick, a planner or MAVROS' users leave between two setpoints of one stream (2 Hz)."""
+
+ORDERED = "another order was given"
+"""How a client lost its stream to an order."""
+
+MOST_TOLD = 16
+"""Clients of which it is reported that they are refused beside one owner; more are counted."""
+
+
+class ClientIdentity:
+    """One client for as long as it is there: a connection of the socket, a program of the daemon, a companion's ground.
+    Compared by identity."""
+
+    __slots__ = ("_describe", "_name", "gone")
+
+    def __init__(self, describe: Callable[[], str]) -> None:
+        """``describe``: its name for people; called once, where it is first needed."""
+        self.gone = False
+        """True once it is not there any more (`leave`)."""
+        self._describe: Callable[[], str] | None = describe
+        self._name = "a client that has left"
+
+    @property
+    def name(self) -> str:
+        """Its name for people."""
+        if self._describe is not None:
+            self._name, self._describe = self._describe(), None
+        return self._name
+
+    def leave(self) -> None:
+        """It is not there any more; nothing of it is kept but its name, where that was needed. Idempotent."""
+        self.gone, self._describe = True, None
+
+
+class StreamOwner:
+    """The owner of one vehicle's stream of setpoints. `refusal` before each of them, `followed` after it."""
+
+    def __init__(self, ledger: OrderLedger) -> None:
+        """``ledger``: an order that moves the vehicle ends the stream."""
+        self.refused = 0
+        """Setpoints that were refused for another owner."""
+        self._ledger = ledger
+        self._client: ClientIdentity | None = None
+        self._until = -math.inf
+        """Deadline of the owner's newest setpoint."""
+        self._valid_s = 0.0
+        self._order = 0
+        """Number of the newest order when that came."""
+        self._lost: dict[ClientIdentity, tuple[float, str]] = {}
+        """Clients that have lost their stream and still send: until when each has to pause, and how."""
+        self._told: set[ClientIdentity] = set()
+        """Clients of which it was reported that they are refused beside the present owner."""
+
+    def alive(self, now: float) -> ClientIdentity | None:
+        """The owner of the stream that is alive; None: anybody may begin one."""
+        client = self._client
+        if client is None or client.gone or not now <= self._until or self._order != self._ledger.number:
+            return None
+        return client
+
+    def refusal(self, client: ClientIdentity, valid_s: float, now: float, *, take_over: bool) -> str | None:
+        """Why a setpoint of this client, good for ``valid_s``, is not followed; None: it may be. Counts a refusal."""
+        if client is self._client:
+            if self._order == self._ledger.number:
+                return None
+            self.ended(ORDERED, now)
+        why = None
+        if (lost := self._lost.get(client)) is not None:
+            until, how = lost
+            if now <= until:
+                pause_s = _pause_s(valid_s)
+                self._lost[client] = now + pause_s, how
+                why = f"{how}: this client may begin again after a pause of {pause_s:g} s, or when control is set again"
+            else:
+                del self._lost[client]
+        if why is None and not take_over and (owner := self.alive(now)) is not None:
+            valid = f"each valid for {self._valid_s:g} s"
+            why = f"it follows the setpoints of {owner.name}, {valid}; take_over: true (--take-over) takes it over"
+        self.refused += why is not None
+        return why
+
+    def is_new(self, client: ClientIdentity) -> bool:
+        """True if this client, which was refused, was not before beside the present owner."""
+        if client in self._told or len(self._told) >= MOST_TOLD:
+            return False
+        self._told.add(client)
+        return True
+
+    def followed(self, client: ClientIdentity, valid_s: float, now: float) -> ClientIdentity | None:
+        """Note a setpoint that is followed. The client from which it takes a stream that is alive; None: from none."""
+        before = None
+        if client is not self._client:
+            before = self.alive(now)
+            self.ended(ORDERED if before is None else f"{client.name} has taken it over", now)
+            self._client = client
+            self._told.clear()
+        self._until, self._valid_s, self._order = now + valid_s, valid_s, self._ledger.number
+        return before
+
+    def ended(self, how: str, now: float, *, spares: ClientIdentity | None = None) -> None:
+        """The stream has ended; its owner, unless its deadline had passed or it is ``spares``, has lost it."""
+        client, self._client = self._client, None
+        self._lost = {c: lost for c, lost in self._lost.items() if now <= lost[0] and not c.gone}
+        if client is not None and client is not spares and not client.gone and now <= self._until:
+            self._lost[client] = now + _pause_s(self._valid_s), how
+
+    def engaged(self, now: float, *, anew: bool) -> None:
+        """Control was set: where none leads it, one that has lost a stream may begin one. ``anew``: it was off."""
+        if anew:
+            self._client = None
+        if self.alive(now) is None:
+            self._lost.clear()
+            self._told.clear()
+
+    def status(self, now: float) -> dict[str, Any]:
+        """The owner and the count of refusals, as control.status shows them."""
+        owner = self.alive(now)
+        stream = None if owner is None else {"client": owner.name, "left_s": round(self._until - now, 3)}
+        return {"stream": stream, "setpoints_refused": self.refused}
+
+
+def _pause_s(valid_s: float) -> float:
+    return min(max(PAUSE_S[0], valid_s), PAUSE_S[1])

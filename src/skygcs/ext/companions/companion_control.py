@@ -158,6 +158,8 @@ class CompanionControl:
         self._waiting: Json | None = None
         """The newest setpoint that has no place on the way yet."""
         self._setpoints = 0
+        self._insists = False
+        """True if the next setpoint is to take over from clients of the companion's own."""
         self._setpoint_refusal: tuple[str, float] = ("", -math.inf)
         self._contact = self._tasks.start(self._keep_contact(), "contact with its companion")
 
@@ -276,6 +278,10 @@ class CompanionControl:
     def follow_raw(self, setpoint: RawSetpoint, valid_s: float) -> Outcome:
         """One setpoint of the user's own controller; as `follow`."""
         return self._stream({"raw": wire.setpoint_json(setpoint)}, valid_s)
+
+    def insist(self) -> None:
+        """The next setpoint takes the vehicle over from clients of the companion's own."""
+        self._insists = True
 
     async def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`; the companion's gains are meant."""
@@ -654,6 +660,8 @@ class CompanionControl:
         if companion is None:
             return
         self._setpoints += 1
+        if self._insists:
+            self._insists, params = False, {**params, "setpoint": {**params["setpoint"], "take_over": True}}
         try:
             answer = await companion.call("companion.setpoint", params, MAX_SETPOINT_WAIT_S)
         except (LinkError, RpcError):

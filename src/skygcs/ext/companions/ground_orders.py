@@ -12,6 +12,7 @@ import secrets
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from skygcs.core.geo import Origin
@@ -19,6 +20,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.trajectory import Trajectory
 from skygcs.core.trajectory.trajectory_clock import MAX_NOTED, STOP_ROOM, ClockOrder, ReplicatedClock
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, StartTube, TrajectoryFlight
 from skygcs.errors import RefusedError, SkygcsError, TrajectoryError
 from skygcs.events import Event
@@ -115,6 +117,8 @@ class GroundOrders:
         """A flight whose start has not come yet, and the orders to its clock that have."""
         self._handed_over: str | None = None
         """The order of the ground that takes over, or took over last."""
+        self._client = ClientIdentity(lambda: "the ground")
+        """The owner of the streams that the ground relays; another one for each ground."""
         self._ground_ids: tuple[int, int] | None = None
         """System and component id of the ground that has the companion."""
         self._heartbeat_at = -math.inf
@@ -232,6 +236,8 @@ class GroundOrders:
         if actor is not None:
             self._keep(_engagement(actor), "the ground that gave it is gone")
         self._handed_over, self._followed, self._early = None, None, (0, {})
+        self._client.leave()
+        self._client = ClientIdentity(lambda: "the ground")
 
     def _keep(self, engagement: OffboardEngagement, why: str) -> None:
         """The ground's order takes over no more; another order that does, as one of the companion's own, goes on."""
@@ -291,6 +297,7 @@ class GroundOrders:
                 place = wire.setpoint_from({"place": given.get("place"), "yaw_enu_rad": given.get("yaw_enu_rad")})
                 if place.place is None:
                     raise RefusedError("a goto has a place")
+                self._end_stream(actor, "the ground ordered a goto")
                 return await engagement.fly_to(place.place, place.yaw_enu_rad)
             case "gains":
                 changes = given.get("changes")
@@ -301,7 +308,9 @@ class GroundOrders:
                 path = await engagement.record(given.get("on") is True)
                 return Outcome(True, "accepted", path or "")
             case "start":
-                return self._start(engagement, number, given)
+                outcome = self._start(engagement, number, given)
+                self._end_stream(actor, "the ground started a trajectory")
+                return outcome
             case "clock":
                 return self._order_clock(engagement, given)
         raise RefusedError(f"the companion knows no order {order!r}; is its skygcs older?")
@@ -319,6 +328,10 @@ class GroundOrders:
                 engagement.release(reason)
         if order == "taken_over":
             actor.unattended.watch.on_station("the ground", "place", self._loop.time())
+
+    def _end_stream(self, actor: VehicleActor, how: str) -> None:
+        """An order of the ground leads it from now on. The ground itself knows which of its clients has lost it."""
+        actor.stream.ended(how, spares=self._client)
 
     def _take_origin(self, origin: Origin | None) -> Outcome:
         """The ground's origin, in which its trajectories are. Raises RefusedError, which names both."""
@@ -341,7 +354,8 @@ class GroundOrders:
         if not age_s <= MAX_SETPOINT_AGE_S:  # also for NaN
             return Outcome.refused(f"it is {age_s:.1f} s old: the way to the companion is too slow for a stream")
         try:
-            engagement = _engagement(self._known())
+            actor = self._known()
+            engagement = _engagement(actor)
             raw = given.get("raw")
             if isinstance(raw, dict):
                 left_s = valid_s - max(age_s, 0.0)  # nothing moves it on, as a place is: it is of its time
@@ -349,11 +363,13 @@ class GroundOrders:
                     return Outcome.refused(
                         f"it is {age_s:.2f} s old and valid for {valid_s:g} s: give a longer valid_s"
                     )
-                return engagement.follow_raw(wire.raw_from(raw), left_s)
-            wanted = wire.setpoint_from(given)
+                valid_s, follow = left_s, partial(engagement.follow_raw, wire.raw_from(raw), left_s)
+            else:
+                wanted = wire.setpoint_from(given)
+                follow = partial(engagement.follow, wanted, valid_s, given_at=min(at_s, now))
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return engagement.follow(wanted, valid_s, given_at=min(at_s, now))
+        return actor.stream.follow(self._client, valid_s, follow, take_over=given.get("take_over") is True)
 
     async def _take_pieces(self, given: Json) -> Outcome:
         """One part of a trajectory; with the last one it is kept."""

@@ -18,6 +18,7 @@ from skygcs.core.plan.margins import OFF_REFERENCE, MarginRule, Motion
 from skygcs.core.plan.straight_flight import assigned
 from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.core.vehicle.offboard_entry import loss_reach
+from skygcs.core.vehicle.order_ledger import ClientIdentity, OrderLedger, StreamOwner
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.ext.formation.config import FormationConfig, formation_problems
@@ -78,6 +79,10 @@ class Formation(Extension[FormationConfig]):
         self._actors: dict[str, VehicleActor] = {}
         self._origin: Origin | None = None
         self._beginning = False
+        self._client = ClientIdentity(lambda: "the formation")
+        """The owner of the members' streams; another one for each formation."""
+        self._guide = StreamOwner(OrderLedger())
+        """The program whose places the present formation flies to."""
         self._stops = 0
         """Counts the orders to stop: one that comes while a formation is being begun ends that."""
         self._stepped_at = -math.inf
@@ -196,7 +201,7 @@ class Formation(Extension[FormationConfig]):
         allowed = self._allowed(actors, starts, origin)
         self._require_allowed(leader.places_at(leader.moving.pos_enu_m, leader.yaw_rad, leader.scale), allowed)
         if goes_on and flight is not None:
-            flight.follow_leader()
+            self._follow_leader(flight)
             flight.leader, flight.led_by = leader, None if lead is None else lead.name
             self._report(f"{wanted.shape}: new places", {})
             return
@@ -209,8 +214,10 @@ class Formation(Extension[FormationConfig]):
         self._actors = {actor.name: actor for actor in actors}
         self._numbers = {actor.name: actor.order_number for actor in actors}
         self._origin, self._stepped_at, self._reported = origin, now, None
+        self._client, self._guide = ClientIdentity(lambda: "the formation"), StreamOwner(OrderLedger())
         for actor in actors:
             actor.program = self
+            actor.stream.lead(self._client, VALID_S)
         self._report(f"{wanted.shape} of {', '.join(starts)} begins", {})
 
     def _starts(self, actors: Iterable[VehicleActor], now: float, *, moving: bool) -> dict[str, Vector]:
@@ -307,6 +314,7 @@ class Formation(Extension[FormationConfig]):
 
     def _end(self) -> None:
         """Nothing is sent any more. Idempotent."""
+        self._client.leave()
         self._actors, self._numbers = {}, {}
 
     # -- while it flies
@@ -324,7 +332,7 @@ class Formation(Extension[FormationConfig]):
         references = flight.step(seen, self._led(flight, now), list(self._obstacles(self.keys, now)), dt_s, now)
         for name, (pos, vel, acc) in references.items():
             outcome = self.core.fleet.orders.setpoint(
-                name, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
+                name, self._client, pos_enu_m=pos, vel_enu_mps=vel, acc_enu_mps2=acc, valid_s=VALID_S, program=self
             )[name]
             if not outcome.ok:
                 flight.stop(f"{name}: {outcome.message}")
@@ -411,7 +419,7 @@ class Formation(Extension[FormationConfig]):
         flight = self.flying()
         if flight.led_by is not None and not isinstance(demand, Stay):
             raise RefusedError(f"{flight.led_by} leads: fly that, or start the formation without a leader")
-        flight.follow_leader()
+        self._follow_leader(flight)
         leader = flight.leader
         if (to := getattr(demand, "place_enu_m", None)) is not None:
             places = leader.places_at(to, leader.wanted_yaw_rad, leader.wanted_scale)
@@ -419,27 +427,39 @@ class Formation(Extension[FormationConfig]):
         leader.demand = demand
         return self.status()
 
-    def guide(self, places: Mapping[str, Moving], valid_s: float) -> dict[str, Any]:
-        """Fly members to a program's own places for so long. Raises RefusedError for who is no member, or a place where
-        it may not be."""
+    def guide(
+        self, places: Mapping[str, Moving], valid_s: float, client: ClientIdentity, *, take_over: bool = False
+    ) -> dict[str, Any]:
+        """Fly members to a client's own places for so long. Raises RefusedError for who is no member, a place where it
+        may not be, and places of another client (`StreamOwner`)."""
         flight = self.flying()
         if unknown := sorted(places.keys() - {*flight.members}):
             raise RefusedError(f"{', '.join(unknown)}: no members; there are {', '.join(flight.members)}")
         self._require_allowed({name: moving.pos_enu_m for name, moving in places.items()}, flight.filter.allowed)
-        flight.guide(places, self.core.now() + valid_s)
+        now = self.core.now()
+        if (why := self._guide.refusal(client, valid_s, now, take_over=take_over)) is not None:
+            raise RefusedError(why)
+        flight.guide(places, now + valid_s)
+        if (before := self._guide.followed(client, valid_s, now)) is not None:
+            self._report(f"{client.name} has taken over from the places of {before.name}", {})
         return self.status()
+
+    def _follow_leader(self, flight: FormationFlight) -> None:
+        """An order leads it from now on, and no program's places."""
+        flight.follow_leader()
+        self._guide.ended("another order was given", self.core.now())
 
     def turn(self, heading_rad: float) -> dict[str, Any]:
         """Turn the formation about its leader."""
         flight = self.flying()
-        flight.follow_leader()
+        self._follow_leader(flight)
         flight.leader.wanted_yaw_rad = math.remainder(heading_rad, math.tau)
         return self.status()
 
     def scale(self, factor: float) -> dict[str, Any]:
         """Scale all offsets. Raises RefusedError where two places would be too near."""
         flight = self.flying()
-        flight.follow_leader()
+        self._follow_leader(flight)
         before, flight.leader.wanted_scale = flight.leader.wanted_scale, factor
         try:
             self._require_room(flight.leader, flight.filter.kept_m, flight.filter.downwash_ratio)

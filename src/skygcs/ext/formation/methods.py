@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field, model_validator
 
+from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.core.vehicle.state import Vec3
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.ext.formation.formation_flight import WantedFlight
@@ -85,6 +86,7 @@ class FormationGuideParams(MethodParams):
     valid_s: Annotated[float, Field(ge=0.1, le=LONGEST_FLY_S)] = Field(
         1.0, description="Without newer ones all stay where they are after this."
     )
+    take_over: bool = Field(False, description="Although it flies to the places of another client, which loses it.")
 
 
 class FormationMember(Result):
@@ -121,7 +123,7 @@ class FormationStatus(Result):
 def formation_guide(context: Context, params: FormationGuideParams) -> JsonObject:
     """Fly members to places of the caller's own, which a filter keeps apart."""
     places = {name: Moving(vector(place.pos_enu_m), vector(place.vel_enu_mps)) for name, place in params.places.items()}
-    return shown(_keeper(context).guide(places, params.valid_s))
+    return shown(_keeper(context).guide(places, params.valid_s, context.client, take_over=params.take_over))
 
 
 async def formation_start(context: Context, params: FormationStartParams) -> JsonObject:
@@ -173,7 +175,9 @@ class FormationKeeper(Protocol):
 
     async def begin(self, wanted: WantedFlight) -> JsonObject: ...
     def lead(self, demand: Demand) -> JsonObject: ...
-    def guide(self, places: Mapping[str, Moving], valid_s: float) -> JsonObject: ...
+    def guide(
+        self, places: Mapping[str, Moving], valid_s: float, client: ClientIdentity, *, take_over: bool
+    ) -> JsonObject: ...
     def turn(self, heading_rad: float) -> JsonObject: ...
     def scale(self, factor: float) -> JsonObject: ...
     def stop(self) -> JsonObject: ...

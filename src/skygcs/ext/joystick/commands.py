@@ -73,6 +73,10 @@ def joystick(
     fleet_frame: Annotated[
         bool, typer.Option("--fleet-frame", help="Forward is the fleet's x axis, not the vehicle's nose.")
     ] = False,
+    take_over: Annotated[
+        bool,
+        typer.Option("--take-over", help="Although it follows the setpoints of another client, which loses it."),
+    ] = False,
     json_output: Json = False,
 ) -> None:
     """Fly one vehicle by joystick: velocities, only while the dead-man button is held.
@@ -99,7 +103,7 @@ def joystick(
     async def command(gcs: Client) -> int:
         name = str((await gcs.vehicle(vehicle))["name"])
         with opened(device) as descriptor:
-            flight = JoystickFlight(gcs, name, engage=engage, fleet_frame=fleet_frame)
+            flight = JoystickFlight(gcs, name, engage=engage, fleet_frame=fleet_frame, take_over=take_over)
             code = await flight.fly(descriptor, chosen, limits, button)
         if json_output:
             print_json({"vehicle": name, **flight.counts, "end": flight.end})
@@ -148,11 +152,14 @@ def opened(device: Path) -> Iterator[int]:
 class JoystickFlight:
     """The flight of one vehicle by one joystick. Made for one call of `fly`."""
 
-    def __init__(self, gcs: Client, name: str, *, engage: bool, fleet_frame: bool) -> None:
+    def __init__(self, gcs: Client, name: str, *, engage: bool, fleet_frame: bool, take_over: bool = False) -> None:
         self._gcs = gcs
         self._name = name
         self._engage = engage
         self._fleet_frame = fleet_frame
+        self._way = {"take_over": True} if take_over else {}
+        self._taken = False
+        """The vehicle follows another client, or an order, instead."""
         self._wake = asyncio.Event()
         self._session: StickSession
         self._pending: list[Effect] = []
@@ -299,6 +306,9 @@ class JoystickFlight:
         if not ok:
             self.counts["refused"] += 1
             complaint = message
+            if self._taken:
+                self._pending += self._session.on_taken_away(message)
+                return
             flown, reasons = await self._flown()
             if not flown:
                 self._pending += self._session.on_taken_away(f"{message} ({reasons})")
@@ -311,8 +321,9 @@ class JoystickFlight:
 
     async def _setpoint(self, vel_enu_mps: tuple[float, float, float], yaw_rate_dps: float) -> tuple[bool, str]:
         turning = {"yaw_rate_dps": yaw_rate_dps} if yaw_rate_dps else {}
-        call = self._gcs.setpoint(self._name, vel_enu_mps=list(vel_enu_mps), valid_s=VALID_S, **turning)
+        call = self._gcs.setpoint(self._name, vel_enu_mps=list(vel_enu_mps), valid_s=VALID_S, **turning, **self._way)
         outcome = next(iter((await self._answer(call)).values()))
+        self._taken = outcome.get("taken") is True
         self.counts["sent"] += 1
         return bool(outcome["ok"]), str(outcome["message"])
 
@@ -325,7 +336,7 @@ class JoystickFlight:
         ok, message = True, ""
         if flying:
             ok, message = await self._setpoint((0.0, 0.0, 0.0), 0.0)
-            if not ok and not (await self._flown())[0]:
+            if not ok and (self._taken or not (await self._flown())[0]):
                 self._pending += self._session.on_stopped(True, f"somebody else has it: {message}")
                 return
         try:

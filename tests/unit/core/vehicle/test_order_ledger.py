@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.flight_evidence import RECENTLY_ARMED_S
-from skygcs.core.vehicle.order_ledger import OrderLedger, may_have_effect
+from skygcs.core.vehicle.order_ledger import MOST_TOLD, ClientIdentity, OrderLedger, StreamOwner, may_have_effect
 
 DONE = Outcome(True, "accepted", "")
 LOST = Outcome(False, "timeout", "", attempts=5)
@@ -140,3 +140,87 @@ def test_what_has_changed_the_mode_counts_though_it_is_refused_then() -> None:
     number = ledger.begins("hold", 5, ends_flight=False)
     ledger.ended(number, DENIED, changed=True)
     assert (ledger.effective, ledger.effective_order, ledger.is_behind(4)) == (number, "hold", True)
+
+
+# --- the owner of a stream of setpoints -------------------------------------------------------------------------------
+
+Streamed = list[tuple[float, str, str | None]]
+"""When, who or what, and a part of the refusal; None: it is followed. "A": a setpoint of A; "A!": with take_over;
+"A gone", "order", "goto", "engaged", "lead B": what happens."""
+
+
+@pytest.mark.parametrize(
+    "streamed",
+    [
+        # one owner until its deadline, after which anybody begins; 0.5 s are not over at 0.5
+        [(0.0, "A", None), (0.4, "A", None), (0.9, "B", "of A, each valid for 0.5 s; take_over"), (0.91, "B", None)],
+        # at once where the owner's connection has closed, which reconnects as another client
+        [(0.0, "A", None), (0.1, "B", "of A"), (0.1, "A gone", None), (0.1, "B", None), (0.2, "C", "of B")],
+        # what was taken over stays so: late setpoints, those after the end of B's stream, and insisting ones
+        [(0.0, "A", None), (0.1, "B!", None), (0.15, "A", "B has taken it over"), (0.2, "A!", "B has taken it over")]
+        + [(t / 10, "A!", "pause of 1 s") for t in range(3, 30)]
+        + [(2.95, "C", None), (3.9, "A", "pause"), (4.91, "A", None)],
+        # both insist with every setpoint: one change, not one for each
+        [(0.0, "A!", None), (0.02, "B!", None)] + [(0.04 + t / 50, "AB"[t % 2] + "!", ["B has", None][t % 2])
+                                                  for t in range(200)],
+        # three that insist after a pause each
+        [(0.0, "A!", None), (0.1, "B!", None), (0.2, "C!", None), (0.3, "A!", "B has"), (0.3, "B!", "C has"),
+         (1.25, "A!", "B has"), (2.3, "A!", None), (2.45, "C", "of A")],
+        # an order ends the stream: its owner does not take the vehicle back, another may begin
+        *([(0.0, "A", None), (0.1, order, None), (0.15, "A", how), (0.5, "A!", how), (1.6, "A", None)]
+          for order, how in (("order", "another order"), ("goto", "a goto"))),
+        [(0.0, "A", None), (0.1, "order", None), (0.15, "B", None), (0.2, "A", "another order"), (0.3, "A gone", None)],
+        # of one whose deadline had passed before the order nothing was taken
+        [(0.0, "A", None), (0.6, "order", None), (0.7, "A", None)],
+        # control is set again: who had lost it goes on; an owner beside it stays the owner
+        [(0.0, "A", None), (0.1, "goto", None), (0.15, "A", "a goto"), (0.2, "engaged", None), (0.25, "A", None),
+         (0.3, "engaged", None), (0.3, "B", "of A"), (0.31, "engaged anew", None), (0.32, "B", None)],
+        # beside an owner control is set in vain for one that has lost it, however often
+        [(0.0, "A", None), (0.1, "B!", None), (0.2, "engaged", None), (0.2, "A!", "B has"), (0.3, "B gone", None),
+         (0.3, "engaged", None), (0.3, "A", None)],
+        # a program of the daemon that an order has begin
+        [(0.0, "A", None), (0.1, "lead F", None), (0.2, "A", "F has taken it over"), (0.2, "B", "of F")],
+        # two clients end at once, and one dies that had lost it
+        [(0.0, "A", None), (0.1, "B!", None), (0.2, "A gone", None), (0.2, "B gone", None), (0.2, "C", None)],
+        # no deadline at all
+        [(0.0, "A", None), (math.nan, "B", None)],
+    ],
+)  # fmt: skip
+def test_a_stream_has_one_owner(streamed: Streamed) -> None:
+    ledger = OrderLedger(FIRST)
+    owner = StreamOwner(ledger)
+    clients = {name: ClientIdentity(lambda name=name: name) for name in "ABCF"}  # type: ignore[misc]
+    refused = 0
+    for now, what, expected in streamed:
+        why = None
+        match what.split():
+            case ["order"]:
+                ledger.ended(ledger.begins("hold", 1, ends_flight=True), DENIED)
+            case ["goto"]:
+                owner.ended("a goto was ordered", now)
+            case ["engaged", *anew]:
+                owner.engaged(now, anew=bool(anew))
+            case ["lead", name]:
+                owner.followed(clients[name], 0.5, now)
+            case [name, "gone"]:
+                clients[name].leave()
+            case [given]:
+                client = clients[given[0]]
+                why = owner.refusal(client, 0.5, now, take_over=given.endswith("!"))
+                if why is None:
+                    owner.followed(client, 0.5, now)
+        assert (why is None) if expected is None else (why is not None and expected in why), (now, what, why)
+        refused += why is not None
+    assert owner.status(now)["setpoints_refused"] == refused
+
+
+def test_clients_that_come_and_go_leave_nothing_behind() -> None:
+    owner = StreamOwner(OrderLedger(FIRST))
+    for i in range(1000):
+        client = ClientIdentity(lambda: "one")
+        assert owner.refusal(client, 0.5, i * 0.01, take_over=True) is None
+        owner.followed(client, 0.5, i * 0.01)
+        owner.is_new(ClientIdentity(lambda: "another"))
+        if i % 2 == 0:
+            client.leave()
+    assert len(owner._lost) <= 101 and len(owner._told) <= MOST_TOLD

@@ -142,6 +142,8 @@ export interface ControlState {
   roll_deg: number | null;
   pitch_deg: number | null;
   recording: string | null;
+  stream: StreamState | null;
+  setpoints_refused: number;
 }
 
 export interface CorrectionsStatus {
@@ -195,6 +197,7 @@ export interface FenceResult {
   elapsed_s: number;
   status_texts: readonly string[];
   order_number?: number | null;
+  taken?: boolean;
   fence: HomeFence | null;
   record: Readonly<Record<string, unknown>> | null;
 }
@@ -369,6 +372,7 @@ export interface OutcomeResult {
   elapsed_s: number;
   status_texts: readonly string[];
   order_number?: number | null;
+  taken?: boolean;
 }
 
 export interface Outcomes {
@@ -718,6 +722,11 @@ export interface StepClock {
 export interface StreamRates {
   planned_hz: number;
   measured_hz: number;
+}
+
+export interface StreamState {
+  client: string;
+  left_s: number;
 }
 
 export interface Survey {

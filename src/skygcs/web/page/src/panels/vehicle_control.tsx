@@ -56,6 +56,7 @@ export function VehicleControl(props: VehicleProps) {
 
 function Figures({ control }: { control: Readonly<Record<string, unknown>> }) {
   const rows: readonly (readonly [string, string])[] = [
+    ["follows", (control["stream"] as { client?: string } | null | undefined)?.client ?? "nobody's setpoints"],
     ["error", metres(control["error_m"])],
     ["reference", vector((control["reference"] as { pos_enu_m?: unknown } | null)?.pos_enu_m)],
     ["age of the state", seconds(control["state_age_s"])],
