@@ -163,8 +163,9 @@ def order_method(
     *,
     result: type[Result] = Outcomes,
     errors: tuple[int, ...] = (error_codes.TARGET_ERROR,),
+    **more: Any,
 ) -> Method[Context]:
-    """The method of an order whose arguments are its parameters.
+    """The method of an order whose arguments are its parameters. ``more``: for `FleetOrders.command_all`.
 
     An order that ends a flight is carried on to its outcome if its client leaves, and is accepted from a client that
     came when all places were taken and while the daemon shuts down.
@@ -172,7 +173,7 @@ def order_method(
 
     async def handler(context: Context, given: TargetsParams) -> JsonObject:
         give = context.services.fleet.orders.command_all
-        return as_json(await give(given.targets, order, reports=context.reports, **given.arguments()))
+        return as_json(await give(given.targets, order, reports=context.reports, **more, **given.arguments()))
 
     handler.__doc__ = description
     ends_flight = order in CARRIED_ON

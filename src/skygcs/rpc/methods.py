@@ -157,7 +157,6 @@ METHODS: DeclaredMethods[Context] = DeclaredMethods(
     links.AIR,
     links.CORRECTIONS,
     Later("fence", "skygcs.rpc.missions", "FENCE"),
-    Later("logs", "skygcs.rpc.missions", "LOGS"),
     Later("signing", "skygcs.rpc.signing"),
     Later("preflight", "skygcs.rpc.params", "PREFLIGHT"),
     Later("undo", "skygcs.rpc.params", "UNDO"),

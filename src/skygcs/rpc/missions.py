@@ -1,6 +1,6 @@
-"""The methods of what vehicles keep on board: missions, fences, rally points, the fence of parameters, logs.
+"""The methods of what vehicles keep on board: missions, fences, rally points, and the fence of parameters.
 
-`METHODS`, `FENCE` and `LOGS` are their parts of the table.
+`METHODS` and `FENCE` are their parts of the table.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from skygcs.core.vehicle.fence_params import FenceAction
 from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind
 from skygcs.errors import PlanFileError
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve
+from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES
 from skygcs.rpc.models import (
@@ -32,10 +32,8 @@ from skygcs.rpc.models import (
     TargetParams,
     TargetsParams,
 )
-from skygcs.runtime import (
-    onboard_logs,  # noqa: F401 - a vehicle uses it, and must not wait for its import
-    onboard_orders,
-)
+from skygcs.runtime import onboard_orders
+from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
@@ -307,12 +305,12 @@ async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
     """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
     if params.radius_m is None and params.height_m is None and params.action is None:
         raise InvalidParams(("radius_m", "give a radius, a height or an action"))
-    return await command(context, params.targets, onboard_orders.set_fence, **params.arguments())
+    return await command(context, params.targets, onboard_orders.set_fence, shaped=FenceOutcome, **params.arguments())
 
 
 async def fence_status(context: Context, params: ListParams) -> JsonObject:
     """The fence of each vehicle, read now, and what it reports of breaches."""
-    return await command(context, params.targets, onboard_orders.read_fence)
+    return await command(context, params.targets, onboard_orders.read_fence, shaped=FenceOutcome)
 
 
 async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
@@ -320,7 +318,7 @@ async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
 
     Progress comes as events of kind fence. ok: it reported the breach and, if armed, took its action.
     """
-    return await command(context, params.targets, onboard_orders.test_fence, **params.arguments())
+    return await command(context, params.targets, onboard_orders.test_fence, shaped=FenceOutcome, **params.arguments())
 
 
 _TARGET = (error_codes.TARGET_ERROR,)
@@ -343,45 +341,4 @@ FENCE: tuple[Method[Context], ...] = (
     Method("fence.set", FenceSetParams, fence_set, FenceResults, _TARGET),
     Method("fence.status", ListParams, fence_status, FenceResults, _TARGET),
     Method("fence.test", FenceTestParams, fence_test, FenceResults, _TARGET),
-)
-
-
-LogId = Annotated[int, Field(ge=0, le=65535)]
-
-
-class LogsGetParams(TargetsParams):
-    logs: Literal["latest", "all"] | Annotated[list[LogId], Field(min_length=1, max_length=500)] = Field(
-        "latest", description='"latest", "all", or ids as logs.list shows them.'
-    )
-    force: bool = Field(False, description="Over a radio, too: it slows every vehicle on it.")
-
-
-class LogsOutcomes(Result):
-    outcomes: dict[str, dict[str, Any]] = Field(
-        description="By vehicle name: an outcome, with logs (id, size_bytes, time_unix_s or null) and files (id, path, "
-        "size_bytes, resumed_at: bytes that were there before)."
-    )
-
-
-LOGS: tuple[Method[Context], ...] = (
-    order_method(
-        "logs.list",
-        TargetsParams,
-        onboard_orders.list_logs,
-        "The logs that vehicles have on board. Refused while armed.",
-        result=LogsOutcomes,
-        errors=(error_codes.TARGET_ERROR,),
-    ),
-    order_method(
-        "logs.get",
-        LogsGetParams,
-        onboard_orders.get_logs,
-        """Write onboard logs of vehicles to files of the daemon, in onboard/ of its log_dir.
-
-        A log that came in part is resumed; one that is there is not read again. Progress comes as events of kind
-        onboard_log. Refused while armed, and over a radio without force. It ends with its client.
-        """,
-        result=LogsOutcomes,
-        errors=(error_codes.TARGET_ERROR,),
-    ),
 )

@@ -26,7 +26,6 @@ from skygcs.events import Event
 from skygcs.runtime import home_orders, onboard_orders
 from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
-from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.return_members import read_return_height
 from skygcs.runtime.returns import Returns, Waiting
@@ -37,8 +36,8 @@ from skygcs.runtime.vehicle_services import VehicleServices
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
 """An order is the method of VehicleActor that carries it out, `VehicleActor.arm`, or a function of
-`runtime.onboard_orders` or `runtime.home_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
-those of the onboard logs a LogsOutcome."""
+`runtime.onboard_orders` or `runtime.home_orders`. It returns an Outcome, or what the ``shaped`` of `command_all` makes
+of one."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
     VehicleActor.command: ComponentActor.command,
@@ -129,6 +128,7 @@ class Given:
     serial: int
     reports: Reports
     by_person: bool
+    shaped: Callable[[Outcome], Any]
     outcomes: dict[str, Any] = field(default_factory=dict)
     ended_by: str = "the client that gave it is gone"
     """Why it ends, if it is cancelled."""
@@ -197,6 +197,7 @@ class FleetOrders:
         *args: Any,
         reports: Reports | None = None,
         by_person: bool = True,
+        shaped: Callable[[Outcome], Any] = lambda outcome: outcome,
         **arguments: Any,
     ) -> dict[str, Outcome]:
         """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
@@ -206,7 +207,8 @@ class FleetOrders:
         cancelled, the orders of `CARRIED_ON` go on, all others end; `close` ends those with an answer. Raises
         RefusedError for a stop, or a disarming of a duplicate system id, without the confirmation it needs
         (``confirm``, see `core.vehicle.orders`). ``reports`` gets each vehicle's outcome when it comes. ``by_person``:
-        False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends.
+        False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends. ``shaped``: makes of
+        an Outcome what the order returns, where the order itself is not reached.
         """
         name = order.__name__
         if self.ends_only and order not in CARRIED_ON:
@@ -222,7 +224,7 @@ class FleetOrders:
         if order in CARRIED_ON:
             self._turns.taken(actors, name)
         # the serial is made here, as what is carried on begins a turn of the loop later
-        given = Given(order, ask(), reports or Unreported(), by_person)
+        given = Given(order, ask(), reports or Unreported(), by_person, shaped)
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await self._give(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)
@@ -263,7 +265,7 @@ class FleetOrders:
         """Report an order that ended before it was sent to any vehicle."""
         for vehicle in (actor for actor in actors if isinstance(actor, VehicleActor)):
             outcome = vehicle.outcomes.finish(given.order.__name__, given.cancelled())
-            given.ended(vehicle.name, _shaped(given.order, outcome))
+            given.ended(vehicle.name, given.shaped(outcome))
 
     async def push_origin(
         self,
@@ -340,7 +342,7 @@ class FleetOrders:
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
             for actor, reason in refusals.items():
-                given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
+                given.ended(actor.name, given.shaped(actor.refuse(order.__name__, reason)))
                 self._arrives(decided, actor)
             # one frame to all where the order may be broadcast, then one task per vehicle for its answer
             broadcast = None if waits else self._broadcast_command(vehicles, order)
@@ -392,7 +394,7 @@ class FleetOrders:
         outcome: Outcome
         try:
             if late:
-                outcome = _shaped(order, actor.refuse(order.__name__, *late.values()))
+                outcome = given.shaped(actor.refuse(order.__name__, *late.values()))
             elif returns is not None:
                 outcome = await self._returning.carry_out(returns)
             else:
@@ -400,7 +402,7 @@ class FleetOrders:
         except Exception as error:
             why = f"failed inside skygcs: {error!r}"
             self._on_event(Event("fault", actor.name, actor.sysid, f"{order.__name__} {why}", {}))
-            outcome = _shaped(order, Outcome(False, "failed", why))
+            outcome = given.shaped(Outcome(False, "failed", why))
         given.ended(actor.name, outcome)
         return outcome
 
@@ -613,17 +615,6 @@ def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> 
     """Vehicles for which the order comes too late, and why; see `OrderPrecedence.overtaken`."""
     late = {actor: actor.runner.precedence.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
-
-
-def _shaped(order: Order, outcome: Outcome) -> Any:
-    """An outcome that the order itself did not make, with the keys of those that it makes."""
-    if order in (onboard_orders.set_fence, onboard_orders.read_fence, onboard_orders.test_fence):
-        return FenceOutcome(outcome)
-    if order in (onboard_orders.list_logs, onboard_orders.get_logs):
-        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.missions has imported it
-
-        return LogsOutcome.without_logs(outcome)
-    return outcome
 
 
 def _outcome(task: asyncio.Task[Outcome] | None) -> Outcome:

@@ -1,13 +1,12 @@
-"""Orders about what a vehicle keeps on board: its mission, fence and rally lists, its fence, and its logs.
+"""Orders about what a vehicle keeps on board: its mission, fence and rally lists, and its fence.
 
 Each is a function of the vehicle's actor, to be given with `FleetOrders.command_all` as the methods of `VehicleActor`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Coroutine, Sequence
+from collections.abc import Callable, Collection, Coroutine
 from functools import partial
-from typing import TYPE_CHECKING
 
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
@@ -18,9 +17,6 @@ from skygcs.core.vehicle.order_plan import Plan
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.order_runner import duplicate_refusal
 from skygcs.runtime.vehicle_actor import VehicleActor
-
-if TYPE_CHECKING:  # only some vehicles have them
-    from skygcs.runtime.onboard_logs import LogsOutcome
 
 # -- lists
 
@@ -137,16 +133,3 @@ async def _report_fence(
     outcome = await work()
     actor.outcomes.finish(order, outcome.outcome)
     return outcome
-
-
-# -- logs
-
-
-async def list_logs(actor: VehicleActor) -> LogsOutcome:
-    """See `VehicleLogs.list`."""
-    return await actor.logs.list()
-
-
-async def get_logs(actor: VehicleActor, *, logs: Sequence[int] | str, force: bool = False) -> LogsOutcome:
-    """See `VehicleLogs.get`."""
-    return await actor.logs.get(logs, force=force)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, TypeVar, Unpack, cast
 
 from skygcs.config.control import GROUND
 from skygcs.config.models import VehicleConfig
@@ -22,7 +22,7 @@ from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENTRY, TIMESYNC
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import Destination
@@ -59,10 +59,9 @@ from skygcs.runtime.stream_requester import StreamRequester, UplinkProbes
 from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.task_set import numbered
 from skygcs.runtime.unattended_holds import UnattendedHolds
-from skygcs.runtime.vehicle_services import SetpointProgram, VehicleLinks, VehicleServices
+from skygcs.runtime.vehicle_services import SetpointProgram, VehicleLinks, VehiclePart, VehicleServices
 
-if TYPE_CHECKING:  # only some vehicles have them
-    from skygcs.runtime.onboard_logs import VehicleLogs
+P = TypeVar("P", bound=VehiclePart)
 
 SHUTDOWN = "skygcs is shutting down"
 
@@ -74,8 +73,8 @@ class VehicleActor:
     ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
-    ``params``, ``metadata`` (of parameters), ``missions``, ``logs`` (those it has on board), ``fence``, ``preflight``,
-    ``streams`` (the rates of its messages), ``calibration``, ``uplink``.
+    ``params``, ``metadata`` (of parameters), ``missions``, ``fence``, ``preflight``, ``streams`` (the rates of its
+    messages), ``calibration``, ``uplink``. `part` has those of extensions.
     """
 
     def __init__(
@@ -123,7 +122,6 @@ class VehicleActor:
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self.outcomes.report_progress, services.on_event
         )
-        self._logs: VehicleLogs | None = None
         self.fence = VehicleFence(vehicle, self.params, services, self._request)
         self.preflight = Preflight(
             vehicle, config, self.params, self.metadata, services, self._request, configured=configured
@@ -131,6 +129,8 @@ class VehicleActor:
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = UplinkProbes(self.uplink, vehicle, self.commands, services)
+        self._parts: dict[Callable[[VehicleActor], VehiclePart], VehiclePart] = {}
+        """Those of extensions, by their classes."""
         self._read = self._readers()
         """Messages of which every frame is read, with their readers."""
 
@@ -157,7 +157,6 @@ class VehicleActor:
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
             **dict.fromkeys(CALIBRATION_MESSAGES, self.calibration.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
-            **dict.fromkeys((LOG_ENTRY, LOG_DATA), self._on_log_frame),
         }
 
     def _order_refusal(self, plan: Plan) -> str | None:
@@ -205,14 +204,14 @@ class VehicleActor:
         """True once nothing goes to the vehicle by this actor any more: it was forgotten, or the daemon ends."""
         return bool(self._closed)
 
-    @property
-    def logs(self) -> VehicleLogs:
-        """The logs it has on board; made when somebody asks for them."""
-        if self._logs is None:
-            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.missions has imported it
-
-            self._logs = VehicleLogs(self.vehicle, self.services)
-        return self._logs
+    def part(self, kind: Callable[[VehicleActor], P]) -> P:
+        """Return what an extension keeps for this vehicle: the one of this class, made when it is first asked for."""
+        part = self._parts.get(kind)
+        if part is None:
+            part = self._parts[kind] = kind(self)
+            self._read.update(dict.fromkeys(part.messages, part.on_frame))
+            self.services.links.forget_flows()  # it wants each frame of these
+        return cast(P, part)
 
     def _new_runner(self, services: VehicleServices) -> OrderRunner:
         dialect, loop, began_ms = services.dialect, services.loop, time.time_ns() // 1_000_000
@@ -314,6 +313,8 @@ class VehicleActor:
             self._publish(events, now)
         self.streams.tick(now)
         self.calibration.tick(now)
+        for part in self._parts.values():
+            part.tick(now)
         if not isinstance(self.offboard, OffboardEngagement):
             self.offboard.watch(now)
         elif self.offboard.controller.active:
@@ -361,10 +362,10 @@ class VehicleActor:
             self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
         self.params.stop_list()
-        self._stop_logs("cancelled", SHUTDOWN)
         self.runner.wind_down()
+        parts = [part.wind_down() for part in self._parts.values()]
         await asyncio.gather(
-            self.fence.wind_down(), self.calibration.wind_down(), self.runner.settled(), self.offboard.settled()
+            self.fence.wind_down(), self.calibration.wind_down(), *parts, self.runner.settled(), self.offboard.settled()
         )
 
     def close(self, reason: str = SHUTDOWN) -> None:
@@ -375,8 +376,9 @@ class VehicleActor:
         self.unattended.close()
         self.offboard.close(reason)
         self.missions.close(reason)
-        self._stop_logs("cancelled", reason)
         self.params.close(reason)
+        for part in self._parts.values():
+            part.close(reason)
         self.calibration.close()
         self.commands.close(reason)
         self.vehicle.disconnect()  # nobody ticks it any more
@@ -666,15 +668,7 @@ class VehicleActor:
         """Request one message, without a report."""
         return await self.runner.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
-    def _stop_logs(self, result: str, text: str) -> None:
-        if self._logs is not None:
-            self._logs.stop(result, text)
-
     # -- reactions to frames and time
-
-    def _on_log_frame(self, frame: Frame, now: float) -> None:
-        if self._logs is not None:
-            self._logs.on_frame(frame, now)
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
@@ -693,10 +687,11 @@ class VehicleActor:
         for event in events:
             if event.kind == "statustext":
                 others = self.fence, self.params, self.offboard, self.calibration
-                for reader in (self.commands, self.missions, *others):
+                for reader in (self.commands, self.missions, *others, *self._parts.values()):
                     reader.on_text(event.text)
             elif event.kind == "armed":
-                self._stop_logs("cancelled", "it was armed; the same command goes on when it is disarmed")
+                for part in self._parts.values():
+                    part.on_armed()
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
@@ -709,6 +704,8 @@ class VehicleActor:
                 self.preflight.forget()
                 self.metadata.forget()
                 self.streams.restart(now)
+                for part in self._parts.values():
+                    part.on_reboot()
             self.services.on_event(event)
 
     def _stop_protocols(self, text: str) -> None:
@@ -720,5 +717,6 @@ class VehicleActor:
         """End every exchange with it that is no order."""
         self.missions.stop(result, text)
         self.params.stop_all(result, text)
-        self._stop_logs(result, text)
         self.calibration.stop(text)
+        for part in self._parts.values():
+            part.stop(result, text)
