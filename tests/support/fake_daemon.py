@@ -510,7 +510,14 @@ class FakeFleet:
         return self
 
     async def command_all(
-        self, targets: str | list[str], order: Order, /, *, reports: Reports | None = None, **arguments: Any
+        self,
+        targets: str | list[str],
+        order: Order,
+        /,
+        *,
+        reports: Reports | None = None,
+        shaped: object = None,
+        **arguments: Any,
     ) -> dict[str, FakeOutcome]:
         vehicles, name = self.resolve(targets), order.__name__
         inspect.signature(order).bind(
@@ -617,7 +624,8 @@ class FakeDaemon:
             send_gates=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
-        self.extensions = Extensions({"plan": FakePlanning(cast("Services", self), NoTable())}, _raised)
+        services = cast("Services", self)
+        self.extensions = Extensions({"plan": FakePlanning(services, NoTable())}, _raised, services)
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
         self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})

@@ -32,7 +32,6 @@ SPARED = (
     "platform",
     "skygcs.core.plan",
     "skygcs.links.simulated",
-    "skygcs.rpc.missions",
     "skygcs.rpc.params",
     "skygcs.ext.companions.companion_control",
     "skygcs.ext.companions.ground_orders",

@@ -38,7 +38,7 @@ ON_THE_LOOP = {
 }
 """Modules of the running daemon and of the bridge that write files, and why not on the loop."""
 
-EXTENSIONS = {"ext/federation", "ext/onboard_logs"}
+EXTENSIONS = {"ext/federation", "ext/fence", "ext/missions", "ext/onboard_logs"}
 """Those that write files while vehicles fly."""
 
 WRITES = {

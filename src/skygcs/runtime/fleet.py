@@ -225,7 +225,7 @@ class Fleet:
 
     async def ended(self, timeout_s: float) -> None:
         """After `close`: wait until the changes that could not be undone have been noted."""
-        tasks = {self._loop.create_task(actor.fence.ended()) for actor in self.vehicles.values()}
+        tasks = {self._loop.create_task(actor.ended()) for actor in self.vehicles.values()}
         if tasks:
             _, late = await asyncio.wait(tasks, timeout=timeout_s)
             for task in late:

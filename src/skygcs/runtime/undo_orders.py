@@ -95,7 +95,7 @@ class UndoOrders:
         require_connected(actor.vehicle, self._now())
         if actor.vehicle.armed and not force:
             raise RefusedError(f"it is armed; {FORCE_HINT}")
-        if actor.fence.testing:
+        if actor.fence_watch.testing:
             raise RefusedError("its fence is being tested")
         # find the parameters that differ; one that was changed since needs force
         to_set: dict[str, float] = {}

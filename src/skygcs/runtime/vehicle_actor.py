@@ -28,6 +28,7 @@ from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
+from skygcs.core.vehicle.fence_params import FenceWatch
 from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
 from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
@@ -46,7 +47,6 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
 from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient, StateEvidence
-from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
@@ -73,8 +73,8 @@ class VehicleActor:
     ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
-    ``params``, ``metadata`` (of parameters), ``missions``, ``fence``, ``preflight``, ``streams`` (the rates of its
-    messages), ``calibration``, ``uplink``. `part` has those of extensions.
+    ``params``, ``metadata`` (of parameters), ``missions``, ``fence_watch``, ``preflight``, ``streams`` (the rates of
+    its messages), ``calibration``, ``uplink``. `part` has those of extensions.
     """
 
     def __init__(
@@ -118,13 +118,13 @@ class VehicleActor:
         self.takeoffs = Takeoffs(vehicle, after_takeoff, self.runner, self._engage, services.loop, services.on_event)
         # MAVLink protocols, and what is built on them
         self.params = VehicleParams(vehicle, services)
-        self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self._request)
+        self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self.request)
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self.outcomes.report_progress, services.on_event
         )
-        self.fence = VehicleFence(vehicle, self.params, services, self._request)
+        self.fence_watch = FenceWatch()
         self.preflight = Preflight(
-            vehicle, config, self.params, self.metadata, services, self._request, configured=configured
+            vehicle, config, self.params, self.metadata, services, self.request, configured=configured
         )
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
@@ -322,7 +322,8 @@ class VehicleActor:
         if self.vehicle.replayed:
             return
         self.unattended.tick(now, self.authority_refusal())
-        self.fence.tick(now)
+        if (event := self.fence_watch.look(self.vehicle, now)) is not None:
+            self.services.on_event(event)
         self._probes.tick(now)
 
     def set_duplicate(self, where: str | None) -> None:
@@ -364,9 +365,7 @@ class VehicleActor:
         self.params.stop_list()
         self.runner.wind_down()
         parts = [part.wind_down() for part in self._parts.values()]
-        await asyncio.gather(
-            self.fence.wind_down(), self.calibration.wind_down(), *parts, self.runner.settled(), self.offboard.settled()
-        )
+        await asyncio.gather(self.calibration.wind_down(), *parts, self.runner.settled(), self.offboard.settled())
 
     def close(self, reason: str = SHUTDOWN) -> None:
         """End what is under way, for this reason. Nothing begins again, and the vehicle counts as lost from now on: an
@@ -382,6 +381,10 @@ class VehicleActor:
         self.calibration.close()
         self.commands.close(reason)
         self.vehicle.disconnect()  # nobody ticks it any more
+
+    async def ended(self) -> None:
+        """After `close`: wait for the end of what the parts of extensions still note."""
+        await asyncio.gather(*(part.ended() for part in self._parts.values()))
 
     # -- orders
 
@@ -410,7 +413,7 @@ class VehicleActor:
         model = model_of(self.vehicle, self._loop.time())
         if model.may_fly and model.sticks is Sticks.SEEN and needs_sticks(model, self.vehicle, name):
             asked = self.runner.precedence.asked()
-            await self._request("RC_CHANNELS")  # the gate has to know where its throttle is
+            await self.request("RC_CHANNELS")  # the gate has to know where its throttle is
             if (why := self.runner.precedence.taken_by_pilot(asked)) is not None:
                 return self.refuse("mode", why)
         return await self.runner.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
@@ -664,7 +667,7 @@ class VehicleActor:
         if plan.steps and self.vehicle.connected and not self.vehicle.replayed:
             await self.runner.attempt_in_control(lambda now: plan)
 
-    async def _request(self, message: str) -> Outcome:
+    async def request(self, message: str) -> Outcome:
         """Request one message, without a report."""
         return await self.runner.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
@@ -686,7 +689,7 @@ class VehicleActor:
         """React to events of the vehicle, then publish them."""
         for event in events:
             if event.kind == "statustext":
-                others = self.fence, self.params, self.offboard, self.calibration
+                others = self.fence_watch, self.params, self.offboard, self.calibration
                 for reader in (self.commands, self.missions, *others, *self._parts.values()):
                     reader.on_text(event.text)
             elif event.kind == "armed":

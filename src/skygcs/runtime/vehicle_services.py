@@ -151,6 +151,9 @@ class VehiclePart:
     def close(self, reason: str) -> None:
         """Nothing goes to the vehicle any more."""
 
+    async def ended(self) -> None:
+        """After `close`: wait until the changes that could not be undone have been noted."""
+
 
 class OrderChecks(Protocol):
     """Check whether an order would bring a vehicle too close to another (`separation_monitor.SeparationMonitor`): a

@@ -40,6 +40,7 @@ from skygcs.ext.plans.flight.plan_in_fence import CHECK, Reach, fence_finding, s
 from skygcs.ext.plans.flight.plan_rehearsal import SLOWER, Stopped
 from skygcs.ext.plans.plan_flight import HOLD_MODES, measured_place
 from skygcs.runtime import fleet_margins
+from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
@@ -345,7 +346,7 @@ async def fence_findings(
 
     async def one(actor: VehicleActor) -> Finding:
         async with slots:
-            held = await actor.fence.settings()
+            held = await actor.part(VehicleFence).settings()
             shapes = None if isinstance(held, str) or not held.enabled else await actor.missions.fence_shapes()
         if isinstance(held, str):
             return refused(actor.name, CHECK, held, remedies.insist("check its link"), insist=True)

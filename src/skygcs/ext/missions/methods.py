@@ -1,11 +1,10 @@
-"""The methods of what vehicles keep on board: missions, fences, rally points, and the fence of parameters.
-
-`METHODS` and `FENCE` are their parts of the table.
-"""
+"""The methods of missions, fences and rally points, and the extension that has them: it is made when one of them is
+first called."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -15,9 +14,9 @@ from skygcs.core.mission.item import FIRST_ITEM, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.fence_params import FenceAction
 from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind
 from skygcs.errors import PlanFileError
+from skygcs.extension import Extension, NoTable
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -33,7 +32,6 @@ from skygcs.rpc.models import (
     TargetsParams,
 )
 from skygcs.runtime import onboard_orders
-from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
@@ -267,60 +265,6 @@ def _item(number: int, item: MissionItem) -> JsonObject:
     }
 
 
-class FenceSetParams(TargetsParams):
-    radius_m: float | None = Field(None, ge=0, le=100_000, description="Around home; 0 removes it; null leaves it.")
-    height_m: float | None = Field(None, ge=0, le=10_000, description="Above home; 0 removes it; null leaves it.")
-    action: FenceAction | None = Field(
-        None, description="What it does outside the fence; none: no fence; null: leaves it."
-    )
-    force: bool = Field(False, description="Although it flies and would be outside of that fence at once.")
-
-
-class FenceTestParams(TargetsParams):
-    radius_m: float = Field(2.0, ge=1, le=50, description="Radius of the test fence around home.")
-    action: FenceAction = Field("return", description="What it must do outside it.")
-    timeout_s: float = Field(120.0, ge=5, le=1800, description="Time for the walk.")
-
-
-class HomeFence(Result):
-    """The fence about home; of fence.status also breached, breaches, from_home_m, last_text."""
-
-    enabled: bool | None
-    action: str | None
-    radius_m: float | None
-    height_m: float | None
-    follows_list: bool | None = Field(description="Whether polygons and circles are watched.")
-
-
-class FenceResult(OutcomeResult):
-    fence: HomeFence | None
-    record: dict[str, Any] | None = Field(description="Of fence.test: what was seen, and the file that holds it.")
-
-
-class FenceResults(Result):
-    outcomes: dict[str, FenceResult] = Field(description="By vehicle name.")
-
-
-async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
-    """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
-    if params.radius_m is None and params.height_m is None and params.action is None:
-        raise InvalidParams(("radius_m", "give a radius, a height or an action"))
-    return await command(context, params.targets, onboard_orders.set_fence, shaped=FenceOutcome, **params.arguments())
-
-
-async def fence_status(context: Context, params: ListParams) -> JsonObject:
-    """The fence of each vehicle, read now, and what it reports of breaches."""
-    return await command(context, params.targets, onboard_orders.read_fence, shaped=FenceOutcome)
-
-
-async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
-    """Test the fence on foot, propellers off (docs/howto/missions.md): a small one is set, and the old one put back.
-
-    Progress comes as events of kind fence. ok: it reported the breach and, if armed, took its action.
-    """
-    return await command(context, params.targets, onboard_orders.test_fence, shaped=FenceOutcome, **params.arguments())
-
-
 _TARGET = (error_codes.TARGET_ERROR,)
 
 
@@ -337,8 +281,6 @@ METHODS: tuple[Method[Context], ...] = (
 )
 
 
-FENCE: tuple[Method[Context], ...] = (
-    Method("fence.set", FenceSetParams, fence_set, FenceResults, _TARGET),
-    Method("fence.status", ListParams, fence_status, FenceResults, _TARGET),
-    Method("fence.test", FenceTestParams, fence_test, FenceResults, _TARGET),
-)
+class Missions(Extension[NoTable]):
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS
