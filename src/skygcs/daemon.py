@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from skygcs import __version__
 from skygcs.config.checks import control_place_problems
-from skygcs.config.extension_tables import find_owners
+from skygcs.config.extension_tables import find_owners, word_problems
 from skygcs.config.files import read_token
 from skygcs.config.models import NO_TABLES, FleetConfig
 from skygcs.core.control.deadman import DeadMan
@@ -42,7 +42,6 @@ from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
-from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.unattended_holds import STATION_MESSAGES
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -121,7 +120,6 @@ class Daemon:
         self._observe()
         # what clients of the socket ask for
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
-        self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, publish)
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
@@ -142,6 +140,8 @@ class Daemon:
         if unusable or owners.keys() != tables.keys():
             missing = [f"no extension is installed for [{name}]" for name in tables.keys() - owners.keys()]
             raise ConfigError(self.source, [*(f"{name}: {text}" for name, text in unusable.items()), *missing])
+        if taken := word_problems(owners):
+            raise ConfigError(self.source, taken)
         made = {name: cast("type[Extension[Any]]", owners[name])(self, table) for name, table in tables.items()}
         extensions = Extensions(made, self.hub.fault, self)
         if problems := control_place_problems(self.config, extensions.places_of_control()):

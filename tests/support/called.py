@@ -9,6 +9,7 @@ from typing import Any
 
 from skygcs.daemon import Daemon
 from skygcs.ext.plans.extension import Plans
+from skygcs.ext.signing.signing_setup import SigningSetup
 from skygcs.rpc.dispatch import Encoded
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.slices import Slices
@@ -25,6 +26,13 @@ async def call(daemon: Daemon, name: str, /, *, reports: Any = None, **params: A
     answer = method.handler(context, method.params.model_validate(params))
     result = await answer if asyncio.iscoroutine(answer) else answer
     return json.loads(result.body) if isinstance(result, Encoded) else result
+
+
+def signing_setup_of(daemon: Daemon) -> SigningSetup:
+    """What gives vehicles their keys; its extension is made for it."""
+    daemon.extensions.demand("signing")
+    setup: SigningSetup = daemon.extensions["signing"].setup
+    return setup
 
 
 def plans_of(daemon: Daemon) -> Plans:

@@ -39,6 +39,7 @@ from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
 from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
 from skygcs.ext.plans.planning.worker import answered
+from skygcs.ext.preflight.methods import PreflightChecks
 from skygcs.extension import Extension, Extensions, NoTable
 from skygcs.rpc.context import Services
 from skygcs.rpc.dispatch import Method
@@ -92,7 +93,7 @@ class FakeVehicle:
     def __init__(self, sysid: int, name: str, autopilot: str, groups: tuple[str, ...]) -> None:
         self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
         self.params: Any = None
-        self.metadata: Any = None
+        self.parts: dict[type, Any] = {}
         self.missions = FakeMissions()
         self.missions.fetch = self._fetched
         self.outcomes = SimpleNamespace(finish=lambda order, outcome: outcome)
@@ -124,6 +125,9 @@ class FakeVehicle:
         self.config = SimpleNamespace(separation=SeparationSettings(), control=ControlSettings())
         clock = SimpleNamespace(ticks=0, lateness_p99_s=lambda: None)
         self.offboard = SimpleNamespace(tracking=TrackingRecord(), clock=clock)
+
+    def part(self, kind: type) -> Any:
+        return self.parts[kind]
 
     async def given(self, order: str, **arguments: Any) -> FakeOutcome:
         """The outcome of an order by its name: by a method of this name, where it has one."""
@@ -395,6 +399,17 @@ class FakePlanning(Extension[NoTable]):
         return PlanningQueue(asyncio.get_running_loop(), compute_here)
 
 
+class FakeChecks(PreflightChecks):
+    """Preflight of the `FakeFleet`, which a test tells what is found."""
+
+    async def examine(self, targets: Any, **how: Any) -> dict[str, Any]:
+        fleet = cast("FakeFleet", self.core.fleet)
+        return await fleet.preflight(targets, **how)
+
+    def status(self, targets: Any) -> dict[str, Any]:
+        return {vehicle.name: {"state": "never"} for vehicle in self.core.fleet.resolve(targets)}
+
+
 class FakeTurns:
     """No missions are flown one after another."""
 
@@ -462,9 +477,6 @@ class FakeFleet:
     ) -> dict[str, Any]:
         self.preflight_asked.append((fix, confirmed))
         return {vehicle.name: self.preflight_told[vehicle.name] for vehicle in self.resolve(targets)}
-
-    def preflight_status(self, targets: str | list[str]) -> dict[str, Any]:
-        return {vehicle.name: {"state": "never"} for vehicle in self.resolve(targets)}
 
     def forget(self, targets: str | list[str], *, force: bool = False) -> dict[str, FakeOutcome]:
         there = self.resolve(targets)
@@ -625,9 +637,12 @@ class FakeDaemon:
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
         services = cast("Services", self)
-        self.extensions = Extensions({"plan": FakePlanning(services, NoTable())}, _raised, services)
+        self.extensions = Extensions(
+            {"plan": FakePlanning(services, NoTable()), "preflight": FakeChecks(services, NoTable())}, _raised, services
+        )
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
+        self.signing = SimpleNamespace(status=lambda channels: {"keys": [], "links": []})
         self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})
         self.air = SimpleNamespace(status=lambda now: [], select=lambda keys: None)
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []

@@ -32,7 +32,7 @@ SPARED = (
     "platform",
     "skygcs.core.plan",
     "skygcs.links.simulated",
-    "skygcs.rpc.params",
+    "skygcs.core.preflight.table",
     "skygcs.ext.companions.companion_control",
     "skygcs.ext.companions.ground_orders",
     "skygcs.ext.plans",

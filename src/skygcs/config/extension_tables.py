@@ -37,6 +37,7 @@ class TableOwner(Protocol):
 
     Config: ClassVar[type[Model]]
     control_at: ClassVar[str | None]
+    names: ClassVar[tuple[str, ...]]
 
     @classmethod
     def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
@@ -135,6 +136,13 @@ def find_owners(names: set[str]) -> tuple[dict[str, type[TableOwner]], dict[str,
         except (ImportError, AttributeError) as error:
             problems[name] = f"its extension {known[name].value} cannot be imported: {error}"
     return owners, problems
+
+
+def word_problems(owners: Mapping[str, type[TableOwner]]) -> list[str]:
+    """Which of these extensions take a first word of methods that an extension of skygcs itself has on demand."""
+    ours = {word for word, point in on_demand().items() if point.value.startswith(OWN_PACKAGE)} if owners else set()
+    taken = {name: sorted({name, *owner.names} & ours) for name, owner in owners.items()}
+    return [f"[{name}]: methods that begin with {words[0]} are skygcs' own" for name, words in taken.items() if words]
 
 
 @functools.cache

@@ -28,7 +28,6 @@ from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing
-from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 JsonObject = dict[str, Any]
@@ -74,7 +73,6 @@ class Services(Protocol):
     corrections: CorrectionFeed
     message_sender: MessageSender
     renumbering: Renumbering
-    signing_setup: SigningSetup
     operator_watchdog: OperatorWatchdog
     recorder: Recorder | None
     signing: Signing

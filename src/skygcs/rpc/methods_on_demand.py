@@ -1,10 +1,6 @@
 """Methods that come into the table of a server when one of them is first called, all with its first word together.
 
-    the word is one of                      they come from
-    the table's ``later``                   a module of the core
-    installed extensions without a table    the extension, which is made for it (`skygcs.extension.Extensions.demand`)
-    both                                    the core; the extension's are refused (`MethodTable.require_free`)
-    neither                                 the method is refused, at once from the second time on
+They are those of installed extensions without a table, made for it by `skygcs.extension.Extensions.demand`.
 
 Modules are imported beside the loop, and so is the packages' metadata read, once.
 """
@@ -60,7 +56,7 @@ class MethodsOnDemand:
         word = first_word(name)
         if word in self._last_turns or word in self._tasks:
             return True
-        return name not in self._table and (self._words is None or word in self._words or word in self._table.later)
+        return name not in self._table and (self._words is None or word in self._words)
 
     async def add(self, name: str) -> None:
         """Add the methods with the first word of ``name``, if there are any. It returns to calls of one first word in
@@ -87,14 +83,12 @@ class MethodsOnDemand:
             del self._last_turns[word]
 
     async def _add(self, word: str, name: str) -> None:
-        if word in self._table.later:
-            await self._once(word, lambda: self._import_part(word))
         if name not in self._table and word in await self._words_of_extensions():
             await self._once(word, lambda: self._import_extension(word))
 
     async def add_all(self) -> None:
         """Add all. An extension that cannot be made is left out; that was reported."""
-        for word in (*self._table.later, *sorted(await self._words_of_extensions())):
+        for word in sorted(await self._words_of_extensions()):
             with contextlib.suppress(RefusedError):
                 await self.add(word)
 
@@ -132,10 +126,6 @@ class MethodsOnDemand:
 
     def _read_tables(self) -> None:
         self.extension_tables = frozenset(installed())
-
-    async def _import_part(self, word: str) -> None:
-        await self._beside(self._table.later[word].load)
-        self._table.add_later(word)
 
     async def _import_extension(self, word: str) -> None:
         self._extensions.require_well(word)

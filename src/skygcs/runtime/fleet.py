@@ -6,7 +6,8 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
@@ -37,7 +38,6 @@ from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
 from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
-from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import fault
@@ -79,6 +79,26 @@ class Expected(NamedTuple):
     link: str
     until: float
     when_lost: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Unheard:
+    """A vehicle of the fleet file from which nothing has come since the daemon started."""
+
+    config: VehicleConfig
+    compid: int = 1
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @property
+    def sysid(self) -> int:
+        return self.config.sysid
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        return self.config.groups
 
 
 class Fleet:
@@ -285,12 +305,12 @@ class Fleet:
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
-        return targets.select(expression, self.vehicles.values(), self._unheard())
+        return targets.select(expression, self.vehicles.values(), self.unheard())
 
     def resolve_any(self, expression: str | int | Sequence[str | int]) -> list[Actor]:
         """`resolve` with components: "7/191" and "alpha/191" may also name components. Raises TargetError."""
         vehicles: list[Actor] = [*self.vehicles.values()]
-        return targets.select_any(expression, vehicles, [*self.components.all()], self._unheard())
+        return targets.select_any(expression, vehicles, [*self.components.all()], self.unheard())
 
     def sources(self, expression: str | int | Sequence[str | int]) -> set[int]:
         """The sources (sysid << 8 | compid) of a target expression; a vehicle's name or system id gives component 0,
@@ -435,26 +455,9 @@ class Fleet:
         text = refusal or f"{name or f'system {sysid}'} may be commanded from here"
         self._on_event(Event("authority", name, sysid, text, {"held": refusal is None}))
 
-    async def preflight(
-        self,
-        expression: str | int | Sequence[str | int],
-        *,
-        fix: bool = False,
-        confirmed: Mapping[str, Mapping[str, float]] | None = None,
-    ) -> dict[str, Any]:
-        """See `examine_all`; includes the vehicles of the fleet file that are not heard. Raises TargetError."""
-        everything: list[VehicleActor | Unheard] = [*self.vehicles.values(), *self._unheard()]
-        found = targets.select(expression, everything)
-        vehicles = {v.name: v if isinstance(v, Unheard) else v.preflight for v in found}
-        return await examine_all(vehicles, fix=fix, confirmed=confirmed)
-
-    def _unheard(self) -> Iterator[Unheard]:
+    def unheard(self) -> list[Unheard]:
         """The vehicles of the fleet file that are not heard."""
-        return (Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid))
-
-    def preflight_status(self, expression: str | int | Sequence[str | int]) -> dict[str, Any]:
-        """See `Preflight.status`. Raises TargetError."""
-        return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
+        return [Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid)]
 
     def everybody(self) -> list[VehicleActor]:
         """All vehicles that the fleet knows."""

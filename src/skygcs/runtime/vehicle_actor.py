@@ -52,9 +52,7 @@ from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.order_runner import OrderOutcomes, OrderRunner
-from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
-from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester, UplinkProbes
 from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.task_set import numbered
@@ -73,8 +71,8 @@ class VehicleActor:
     ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
-    ``params``, ``metadata`` (of parameters), ``missions``, ``fence_watch``, ``preflight``, ``streams`` (the rates of
-    its messages), ``calibration``, ``uplink``. `part` has those of extensions.
+    ``params``, ``missions``, ``fence_watch``, ``streams`` (the rates of its messages), ``calibration``, ``uplink``.
+    `part` has those of extensions.
     """
 
     def __init__(
@@ -90,6 +88,9 @@ class VehicleActor:
         `UnattendedWatch`."""
         self.vehicle = vehicle
         self.config = config
+        self.configured = configured
+        self.preflight_refusal = self.never_passed
+        """Returns why its last preflight does not permit arming; None: it does."""
         self.channel = ""
         """Label of the channel that carried its last heartbeat."""
         self._closed = ""
@@ -118,14 +119,10 @@ class VehicleActor:
         self.takeoffs = Takeoffs(vehicle, after_takeoff, self.runner, self._engage, services.loop, services.on_event)
         # MAVLink protocols, and what is built on them
         self.params = VehicleParams(vehicle, services)
-        self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self.request)
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self.outcomes.report_progress, services.on_event
         )
         self.fence_watch = FenceWatch()
-        self.preflight = Preflight(
-            vehicle, config, self.params, self.metadata, services, self.request, configured=configured
-        )
         self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = UplinkProbes(self.uplink, vehicle, self.commands, services)
@@ -635,10 +632,23 @@ class VehicleActor:
         """Report an order that the fleet refuses."""
         return self.outcomes.finish(order, Outcome.refused(reason))
 
+    @property
+    def preflight_hint(self) -> str:
+        return f"run skygcs-cli preflight {self.name}, or {orders.FORCE_HINT}"
+
+    def never_passed(self) -> str | None:
+        """The `preflight_refusal` until preflight has examined it."""
+        return f"it has not passed preflight since it started; {self.preflight_hint}"
+
+    def arming_refusal(self, *, force: bool) -> str | None:
+        """Why it must not be armed now, as the fleet file requires a preflight; None if it may."""
+        if force or not self.config.require_preflight or self.vehicle.armed:
+            return None
+        return self.preflight_refusal()
+
     def require_preflight(self, *, force: bool) -> None:
         """Raises RefusedError if it must not be armed now."""
-        reason = self.preflight.refusal(force=force)
-        if reason is not None:
+        if (reason := self.arming_refusal(force=force)) is not None:
             raise RefusedError(reason)
 
     def _plan_hold(self, now: float) -> Plan:
@@ -704,8 +714,6 @@ class VehicleActor:
                 self.uplink.forget()
                 self.offboard.release("the vehicle rebooted")
                 self.missions.run_begins()
-                self.preflight.forget()
-                self.metadata.forget()
                 self.streams.restart(now)
                 for part in self._parts.values():
                     part.on_reboot()

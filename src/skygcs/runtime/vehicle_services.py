@@ -13,8 +13,8 @@ from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.monitor.tracks import Place
-from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.source_statistics import LinkFacts
 from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
