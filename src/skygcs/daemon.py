@@ -200,7 +200,8 @@ class Daemon:
             for extension in self.extensions:
                 extension.claim()
             self.alarms.recall()
-            self.fleet.undo.report()
+            for report in self.fleet.journal.reports():
+                self.event_log.publish(report)
             if self.config.daemon.keep_vehicles:
                 self.fleet.notes.recall_journal()
             async with asyncio.TaskGroup() as outer:

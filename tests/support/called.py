@@ -7,6 +7,7 @@ import json
 from types import SimpleNamespace
 from typing import Any
 
+from skygcs.config.extension_tables import demanded_word, on_demand
 from skygcs.daemon import Daemon
 from skygcs.ext.plans.extension import Plans
 from skygcs.ext.signing.signing_setup import SigningSetup
@@ -19,7 +20,7 @@ async def call(daemon: Daemon, name: str, /, *, reports: Any = None, **params: A
     """The method's result. Raises what the method raises, and pydantic's error for parameters. ``reports``: a
     `runtime.fleet.Reports` of a client that asks for the outcomes as they come."""
     if name not in METHODS:
-        daemon.extensions.demand(name.partition(".")[0])
+        daemon.extensions.demand(demanded_word(name, on_demand()))
     of_extensions = {method.name: method for method in daemon.extensions.methods}
     method = of_extensions.get(name) or METHODS[name]
     context: Any = SimpleNamespace(services=daemon, slices=Slices(asyncio.get_running_loop()), reports=reports)

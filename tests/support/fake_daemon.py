@@ -295,36 +295,6 @@ class FakeVehicle:
         }
 
 
-class FakeUndo:
-    """One change that waits to be undone, until it is."""
-
-    def __init__(self) -> None:
-        values: dict[str, Any] = {"before": {"GF_ACTION": 1.0}, "changed": {"GF_ACTION": 3.0}}
-        names = {
-            "vehicle": "alpha",
-            "sysid": 1,
-            "autopilot": "px4",
-            "what": "fence test",
-            "began": "2026-01-02T03:04:05Z",
-        }
-        self.changes: list[dict[str, Any]] = [{"id": "1-a", **names, **values}]
-        self.asked: list[tuple[str, str, bool]] = []
-
-    def left(self) -> dict[str, Any]:
-        return {"changes": list(self.changes), "problems": []}
-
-    async def run(self, id: str, *, force: bool = False) -> FakeOutcome:
-        self.asked.append(("run", id, force))
-        self.changes = [c for c in self.changes if c["id"] != id]
-        return FakeOutcome(True, "accepted", "it is as before (GF_ACTION set)")
-
-    def drop(self, id: str) -> None:
-        if id not in [c["id"] for c in self.changes]:
-            raise RefusedError(f"no change with id {id!r} waits to be undone")
-        self.asked.append(("drop", id, False))
-        self.changes = [c for c in self.changes if c["id"] != id]
-
-
 class FakeMonitor:
     """Answers what a test puts into ``answer``; by sysid << 8 | compid ``conflicts`` of vehicles."""
 
@@ -410,16 +380,6 @@ class FakeChecks(PreflightChecks):
         return {vehicle.name: {"state": "never"} for vehicle in self.core.fleet.resolve(targets)}
 
 
-class FakeTurns:
-    """No missions are flown one after another."""
-
-    def of(self, _: FakeVehicle) -> None:
-        return None
-
-    def end(self, why: str) -> bool:
-        return False
-
-
 class Awake:
     """A process that never stands still."""
 
@@ -437,10 +397,10 @@ class FakeFleet:
 
     def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
-        self.undo = FakeUndo()
         self.monitor = FakeMonitor()
         self.plans = FakePlans()
-        self.turns = FakeTurns()
+        self.on_ending: list[Any] = []
+        self.journal = self.disk = None
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []
@@ -529,12 +489,12 @@ class FakeFleet:
         *,
         reports: Reports | None = None,
         shaped: object = None,
+        each: object = None,
+        moves: bool = True,
         **arguments: Any,
     ) -> dict[str, FakeOutcome]:
         vehicles, name = self.resolve(targets), order.__name__
-        inspect.signature(order).bind(
-            None, **{k: v for k, v in arguments.items() if k not in ("confirm", "arrangement")}
-        )
+        inspect.signature(order).bind(None, **{k: v for k, v in arguments.items() if k != "confirm"})
         if name == "disarm":
             arguments.pop("confirm", None)
         if name == "stop":

@@ -4,8 +4,8 @@ the extensions that have no table.
 The entry points of the group `GROUP` name the extensions: the entry point ``metrics = "skygcs.ext.metrics:Metrics"``
 owns the table [metrics]. Only the extensions whose tables a file has are imported.
 
-Those of the group `ON_DEMAND` have no table: the entry point names the first word of their methods, and such an
-extension is imported when one of these is first called.
+Those of the group `ON_DEMAND` have no table: the entry point names the first word of their methods, or the begin of
+their names up to a `_`, and such an extension is imported when one of these is first called.
 
 `installed_points` is the one reader of entry points, for the groups of the shell and of the page as well. Packages are
 read one by one: one that names a group of `skygcs` in metadata which cannot be read, or does not follow the format, is
@@ -15,7 +15,7 @@ left out and reported, and hides no other. https://packaging.python.org/en/lates
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
@@ -156,6 +156,12 @@ def on_demand() -> Mapping[str, EntryPoint]:
     """The installed extensions without a table, by the first word of their methods; reads the packages' metadata once
     (5 to 20 ms)."""
     return installed_points(ON_DEMAND).points
+
+
+def demanded_word(name: str, words: Collection[str]) -> str:
+    """The one of these words of extensions on demand that has the method ``name``; its first word if none has."""
+    begin = name.partition("_")[0]
+    return begin if begin in words else name.partition(".")[0]
 
 
 def find_on_demand(word: str) -> type[TableOwner] | None:

@@ -35,7 +35,6 @@ from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.flight_notes import FlightJournal, FlightNotes
 from skygcs.runtime.home_orders import WorldFrame
 from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
-from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
 from skygcs.runtime.returns import Returns
@@ -43,7 +42,6 @@ from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
-from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import (
     MAX_VEHICLES,
@@ -136,14 +134,12 @@ class Fleet:
         # orders and what is kept of them on disk
         self.disk = DiskWriter(loop, on_event)
         self.journal = UndoJournal(own.log_dir / "undo")
-        self.undo = UndoOrders(self.journal, self.vehicles, loop.time, self.disk, on_event)
         self.monitor = SeparationMonitor(config.monitor, self.vehicles, loop, on_event)
         self.returns = Returns(self.monitor, self.vehicles, loop, on_event)
         param_cache = param_cache or ParamCache(None)
         param_cache.disk = self.disk
         self._services = self._new_services(param_cache, probes=probes)
-        self.turns = MissionTurns(loop, on_event)
-        self.orders = FleetOrders(self, self._services, self.monitor, self.returns, self.turns)
+        self.orders = FleetOrders(self, self._services, self.monitor, self.returns)
         self.sleep = SleepWatch(self._woke, loop)
         self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
         self._room_sought_at: dict[str, float] = {}  # by link, where there was none
@@ -259,7 +255,6 @@ class Fleet:
             self.notes.note_flights(self._loop.time())  # what was held at the end is not held again at the next begin
         self.components.close()
         self.monitor.close()
-        self.turns.close()
         self.returns.close()
         self.orders.close()
 
@@ -560,7 +555,6 @@ class Fleet:
         data = {"slept_s" if pause.slept else "stood_still_s": round(pause.seconds, 1)}
         self._on_event(Event("warning", None, None, text, data))
         # what would go on ordering beyond the actors
-        self._contained(self.turns.end, pause.text)
         self._contained(self.returns.end, pause.text)
         notes = self.notes.of_flights(now, time.time() - now - pause.missed_s)
         self._contained(self.orders.close, pause.text)

@@ -26,10 +26,9 @@ from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import Destination
-from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.fence_params import FenceWatch
-from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
+from skygcs.core.vehicle.flight_lock import RateChange
 from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
@@ -44,8 +43,6 @@ from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
-from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
-from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient, StateEvidence
 from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
@@ -71,7 +68,7 @@ class VehicleActor:
     ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
-    ``params``, ``missions``, ``fence_watch``, ``streams`` (the rates of its messages), ``calibration``, ``uplink``.
+    ``params``, ``missions``, ``fence_watch``, ``streams`` (the rates of its messages), ``uplink``.
     `part` has those of extensions.
     """
 
@@ -123,7 +120,6 @@ class VehicleActor:
             vehicle, self.commands, services.dialect, services.loop, self.outcomes.report_progress, services.on_event
         )
         self.fence_watch = FenceWatch()
-        self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = UplinkProbes(self.uplink, vehicle, self.commands, services)
         self._parts: dict[Callable[[VehicleActor], VehiclePart], VehiclePart] = {}
@@ -152,7 +148,6 @@ class VehicleActor:
             COMMAND_ACK: self._on_ack,
             TIMESYNC: self._on_timesync,
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
-            **dict.fromkeys(CALIBRATION_MESSAGES, self.calibration.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
         }
 
@@ -210,6 +205,10 @@ class VehicleActor:
             self.services.links.forget_flows()  # it wants each frame of these
         return cast(P, part)
 
+    def part_made(self, kind: Callable[[VehicleActor], P]) -> P | None:
+        """The part of this class; None: nobody has asked for it."""
+        return cast("P | None", self._parts.get(kind))
+
     def _new_runner(self, services: VehicleServices) -> OrderRunner:
         dialect, loop, began_ms = services.dialect, services.loop, time.time_ns() // 1_000_000
         return OrderRunner(self.vehicle, self.commands, dialect, loop, self.outcomes, self._order_refusal, began_ms)
@@ -232,8 +231,6 @@ class VehicleActor:
             self.offboard.controller.state is not OffboardState.OFF or not isinstance(self.offboard, OffboardEngagement)
         ):
             state["control"] = self.control_state(now)
-        if "calibration" in state:
-            state["calibration"] = self.calibration.status()
         if "messages" in state:
             self.streams.add_to(state)
         if "uplink" in state and (uplink := self._probes.state(now)) is not None:
@@ -309,7 +306,6 @@ class VehicleActor:
         if events:
             self._publish(events, now)
         self.streams.tick(now)
-        self.calibration.tick(now)
         for part in self._parts.values():
             part.tick(now)
         if not isinstance(self.offboard, OffboardEngagement):
@@ -362,7 +358,7 @@ class VehicleActor:
         self.params.stop_list()
         self.runner.wind_down()
         parts = [part.wind_down() for part in self._parts.values()]
-        await asyncio.gather(self.calibration.wind_down(), *parts, self.runner.settled(), self.offboard.settled())
+        await asyncio.gather(*parts, self.runner.settled(), self.offboard.settled())
 
     def close(self, reason: str = SHUTDOWN) -> None:
         """End what is under way, for this reason. Nothing begins again, and the vehicle counts as lost from now on: an
@@ -375,7 +371,6 @@ class VehicleActor:
         self.params.close(reason)
         for part in self._parts.values():
             part.close(reason)
-        self.calibration.close()
         self.commands.close(reason)
         self.vehicle.disconnect()  # nobody ticks it any more
 
@@ -488,22 +483,6 @@ class VehicleActor:
         if self.offboard.flying and (why := self.offboard.why_not_to(place)) is not None:
             raise RefusedError(why)
         return to
-
-    async def calibrate(self, sensor: str) -> Outcome:
-        """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
-        if (why := self.services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
-            return self.refuse("calibrate", why)
-        with self.outcomes.tracked("calibrate") as ended:
-            return ended(await self.calibration.run(Sensor(sensor)))
-
-    async def confirm_pose(self) -> Outcome:
-        """Confirm that it lies as its calibration asked for."""
-        with self.outcomes.tracked("calibrate confirm") as ended:
-            return ended(await self.calibration.confirm())
-
-    async def cancel_calibration(self) -> Outcome:
-        with self.outcomes.tracked("calibrate cancel") as ended:
-            return ended(await self.calibration.cancel())
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self.runner.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -699,7 +678,7 @@ class VehicleActor:
         """React to events of the vehicle, then publish them."""
         for event in events:
             if event.kind == "statustext":
-                others = self.fence_watch, self.params, self.offboard, self.calibration
+                others = self.fence_watch, self.params, self.offboard
                 for reader in (self.commands, self.missions, *others, *self._parts.values()):
                     reader.on_text(event.text)
             elif event.kind == "armed":
@@ -728,6 +707,5 @@ class VehicleActor:
         """End every exchange with it that is no order."""
         self.missions.stop(result, text)
         self.params.stop_all(result, text)
-        self.calibration.stop(text)
         for part in self._parts.values():
             part.stop(result, text)

@@ -4,8 +4,9 @@ first called."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
@@ -13,12 +14,15 @@ from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FIRST_ITEM, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind
+from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind, arranging
+from skygcs.core.vehicle.orders import fresh_position
 from skygcs.errors import PlanFileError
+from skygcs.ext.missions.mission_turns import MissionTurns
 from skygcs.extension import Extension, NoTable
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, resolve
+from skygcs.rpc.context import Context, JsonObject, Services, as_json, command, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES
 from skygcs.rpc.models import (
@@ -32,6 +36,8 @@ from skygcs.rpc.models import (
     TargetsParams,
 )
 from skygcs.runtime import onboard_orders
+from skygcs.runtime.fleet_orders import Own
+from skygcs.runtime.task_set import in_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
@@ -171,8 +177,28 @@ async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObj
     arrangement = None if params.arrangement is None else params.arrangement.arrangement()
     if arrangement is not None and MissionType.MISSION not in kinds:
         raise InvalidParams(("arrangement", "it is of missions, and none is uploaded"))
-    given = {"plan": plan, "kinds": kinds, "arrangement": arrangement, "force": params.force}
-    return await command(context, params.targets, onboard_orders.upload_plan, **given)
+    each = None if arrangement is None else partial(_arranged, context.services, plan, arrangement, force=params.force)
+    given = {"plan": plan, "kinds": kinds, "force": params.force}
+    return await command(context, params.targets, onboard_orders.upload_plan, each=each, moves=False, **given)
+
+
+async def _arranged(
+    services: Services, plan: MissionPlan, arrangement: Arrangement, actors: Sequence[VehicleActor], *, force: bool
+) -> tuple[Own, dict[VehicleActor, str]]:
+    """The plan of each vehicle, made of one, and why some do not get it: two of these missions come too near each
+    other, unless ``force``."""
+    now, monitor = services.now(), services.fleet.monitor
+    found = [fresh_position(actor.vehicle, now) for actor in actors]
+    places = [None if place is None else place[:2] for place in found]
+    try:
+        plans = await in_turns(arranging(plan, arrangement, places, [monitor.footprint(actor) for actor in actors]))
+    except ValueError as error:
+        return {}, dict.fromkeys(actors, str(error))
+    own: Own = {actor: {"plan": one} for actor, one in zip(actors, plans, strict=True)}
+    if force:
+        return own, {}
+    runs = {actor: MissionRun(one.mission) for actor, one in zip(actors, plans, strict=True)}
+    return own, await monitor.mission_overlaps(await services.fleet.orders.with_return_heights(runs))
 
 
 async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
@@ -195,6 +221,10 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
     )
 
 
+def turns_of(services: Services) -> MissionTurns:
+    return cast("Missions", services.extensions["missions"]).turns
+
+
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on.
 
@@ -208,13 +238,13 @@ async def missions_start(context: Context, params: MissionStartParams) -> JsonOb
             outcomes = await fleet.orders.command_all([actor.name], onboard_orders.start_mission, **arguments)
             return outcomes[actor.name]
 
-        return as_json(await fleet.turns.begin(fleet.resolve(params.targets), start))
+        return as_json(await turns_of(context.services).begin(fleet.resolve(params.targets), start))
     return await command(context, params.targets, onboard_orders.start_mission, **arguments)
 
 
 def missions_end_turns(context: Context, params: NoParams) -> JsonObject:
     """End the turns: the vehicle that flies goes on, others do not start."""
-    return {"ended": context.services.fleet.turns.end("ended by an order")}
+    return {"ended": turns_of(context.services).end("ended by an order")}
 
 
 async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
@@ -234,7 +264,7 @@ async def missions_set_current(context: Context, params: MissionItemParams) -> J
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
     """Each vehicle's place in its mission, and transfers."""
-    reports, turns = [], context.services.fleet.turns
+    reports, turns = [], turns_of(context.services)
     for vehicle in resolve(context.services, params.targets):
         has_fence = "FENCE_STATUS" in context.services.dialect.by_name
         fence = vehicle.latest("FENCE_STATUS") if has_fence else None
@@ -282,5 +312,18 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Missions(Extension[NoTable]):
+    def __init__(self, core: Services, config: NoTable) -> None:
+        super().__init__(core, config)
+        self.turns = MissionTurns(asyncio.get_running_loop(), core.event_log.publish)
+
+    def registered(self) -> None:
+        self.core.fleet.orders.on_ending.append(self.turns.taken)
+
+    def woke(self, why: str) -> None:
+        self.turns.end(why)
+
+    def close(self) -> None:
+        self.turns.close()
+
     def methods(self) -> Iterable[Method[Context]]:
         return METHODS

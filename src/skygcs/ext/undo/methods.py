@@ -4,12 +4,14 @@ called."""
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import cast
 
 from pydantic import Field
 
+from skygcs.ext.undo.undo_orders import UndoOrders
 from skygcs.extension import Extension, NoTable
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject
+from skygcs.rpc.context import Context, JsonObject, Services
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result
 
@@ -42,7 +44,7 @@ class UndoLeft(Result):
 
 async def undo_list(context: Context, _: NoParams) -> JsonObject:
     """Changes of parameters that could not be undone."""
-    return await context.services.fleet.undo.left()
+    return await _orders_of(context).left()
 
 
 async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
@@ -50,14 +52,18 @@ async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
 
     Without force refused while armed, and where a parameter holds neither the old value nor that of the change.
     """
-    outcome = await context.services.fleet.undo.run(params.id, force=params.force)
+    outcome = await _orders_of(context).run(params.id, force=params.force)
     return {"outcomes": {params.id: outcome.as_dict()}}
 
 
 async def undo_drop(context: Context, params: UndoParams) -> JsonObject:
     """Forget one of these changes; the parameters stay as they are."""
-    await context.services.fleet.undo.drop(params.id)
+    await _orders_of(context).drop(params.id)
     return {"dropped": params.id}
+
+
+def _orders_of(context: Context) -> UndoOrders:
+    return cast("Undo", context.services.extensions["undo"]).orders
 
 
 METHODS: tuple[Method[Context], ...] = (
@@ -68,5 +74,10 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Undo(Extension[NoTable]):
+    def __init__(self, core: Services, config: NoTable) -> None:
+        super().__init__(core, config)
+        fleet = core.fleet
+        self.orders = UndoOrders(fleet.journal, fleet.vehicles, core.now, fleet.disk, core.event_log.publish)
+
     def methods(self) -> Iterable[Method[Context]]:
         return METHODS
