@@ -24,6 +24,7 @@ from skygcs.errors import ConfigError
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
+from skygcs.runtime.admission_reports import AdmissionReports
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.components import ONBOARD_COMPUTER
@@ -31,13 +32,13 @@ from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.loop_clock import BEAT_S
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
-from skygcs.runtime.program_traffic import WATCHED, AdmissionReports, LeftoverStreams
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports

@@ -22,7 +22,7 @@ from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.flight_evidence import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
-from skygcs.core.vehicle.message_cache import StatusText
+from skygcs.core.vehicle.status_texts import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.errors import TargetError

@@ -325,7 +325,7 @@ MAKES = {
     "Clearance": {"core/vehicle/gate.py"},
     "OwnMessage": {
         "runtime/hub.py",
-        "runtime/program_traffic.py",
+        "runtime/admission_reports.py",
         "links/paced.py",
     },  # texts to programs; RTCM cut anew
     "_row_clearance": {"core/vehicle/gate.py"},
