@@ -49,8 +49,9 @@ def _dialect_once(
 dialects.load_dialect = _dialect_once
 """Dialects of the package are read once, not for each of a thousand daemons: 10 ms and two dialects each."""
 
+import skygcs.rpc.methods  # noqa: E402
 import skygcs.rpc.sessions  # noqa: E402, F401 - as below
-from skygcs.rpc.methods import METHODS  # noqa: E402
+from skygcs.config.extension_tables import on_demand  # noqa: E402
 from support.examples import each_value, examples, flown_cases, is_deep, searches  # noqa: E402
 from support.file_costs import FileCosts  # noqa: E402
 from support.passed_before import PassedBefore, left_to_run  # noqa: E402
@@ -90,8 +91,10 @@ COLLECTION_SHIFT_S = 7.0
 """Between the clocks by which two workers collect: above the second in which a gzip header is stamped, too little for a
 certificate or a lease that a module makes for its tests."""
 
-tuple(METHODS.values())
-"""Imports them all: a daemon imports its methods in a thread, which virtual time would not wait for."""
+for _word, _point in on_demand().items():
+    if _word != "plan":  # with it comes what makes plans; a test of it imports it
+        _point.load()
+# all imported here: a daemon imports its methods in a thread, which virtual time would not wait for
 
 typer.main.get_command = functools.cache(typer.main.get_command)
 """Typer's test runner makes all commands anew for every line that is typed: a quarter of a second each time. They hold

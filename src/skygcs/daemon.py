@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from skygcs import __version__
 from skygcs.config.checks import control_place_problems
-from skygcs.config.extension_tables import find_owners
+from skygcs.config.extension_tables import find_owners, word_problems
 from skygcs.config.files import read_token
 from skygcs.config.models import NO_TABLES, FleetConfig
 from skygcs.core.control.deadman import DeadMan
@@ -24,6 +24,7 @@ from skygcs.errors import ConfigError
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
+from skygcs.runtime.admission_reports import AdmissionReports
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.components import ONBOARD_COMPUTER
@@ -31,18 +32,17 @@ from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.loop_clock import BEAT_S
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
-from skygcs.runtime.program_traffic import WATCHED, AdmissionReports, LeftoverStreams
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
-from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.unattended_holds import STATION_MESSAGES
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -121,7 +121,6 @@ class Daemon:
         self._observe()
         # what clients of the socket ask for
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
-        self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, publish)
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
@@ -142,6 +141,8 @@ class Daemon:
         if unusable or owners.keys() != tables.keys():
             missing = [f"no extension is installed for [{name}]" for name in tables.keys() - owners.keys()]
             raise ConfigError(self.source, [*(f"{name}: {text}" for name, text in unusable.items()), *missing])
+        if taken := word_problems(owners):
+            raise ConfigError(self.source, taken)
         made = {name: cast("type[Extension[Any]]", owners[name])(self, table) for name, table in tables.items()}
         extensions = Extensions(made, self.hub.fault, self)
         if problems := control_place_problems(self.config, extensions.places_of_control()):
@@ -200,7 +201,8 @@ class Daemon:
             for extension in self.extensions:
                 extension.claim()
             self.alarms.recall()
-            self.fleet.undo.report()
+            for report in self.fleet.journal.reports():
+                self.event_log.publish(report)
             if self.config.daemon.keep_vehicles:
                 self.fleet.notes.recall_journal()
             async with asyncio.TaskGroup() as outer:

@@ -5,9 +5,9 @@ groups of a vehicle's state, clocks, a start and an end, and hooks: frames that 
 before they are sent, and a gate before bytes are sent. The package that has it names it as an entry point of the group
 `skygcs.extensions`, with the name of the table: docs/howto/extension.md shows one of 60 lines.
 
-An extension without a table is an entry point of the group `skygcs.on_demand`, with the first word of its methods. It
-is imported beside the loop and made when one of them is first called; nothing is asked of it but methods, state groups,
-orders to check, and its end.
+An extension without a table is an entry point of the group `skygcs.on_demand`, with the first word of its methods (or,
+as `vehicles.calibrate`, with the begin of all their names up to a `_`). It is imported beside the loop and made when
+one of them is first called; nothing is asked of it but methods, state groups, orders to check, and its end.
 
 What a running daemon calls, and when:
 
@@ -241,7 +241,7 @@ class Extensions:
             f"its extension names the {kind} {name}: the name must begin with {' or '.join((table, *part.names))}"
             for kind, names in (("method", [m.name for m in methods]), ("state group", groups))
             for name in names
-            if re.split(r"[._]", name)[0] not in (table, *part.names)
+            if not any(re.match(rf"{re.escape(word)}([._]|$)", name) for word in (table, *part.names))
         ]
         if problems:
             raise ConfigError(table, problems)

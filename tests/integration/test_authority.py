@@ -15,10 +15,10 @@ from skygcs.cli.status import commander_word
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.ext.federation.config import FederationConfig, SharedVehicle
-from skygcs.rpc.methods import METHODS
 from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.supervised_child import SupervisedChild
 from skygcs.sim.firmware_modes import Px4Mode
+from support.extension_parts import PLAIN_METHODS
 from support.flown import Flown, aloft
 from support.pymav import PymavPeer
 
@@ -178,7 +178,7 @@ COMPONENT_ORDERS: list[tuple[str, dict[str, Any]]] = [
 
 
 def test_every_method_that_names_vehicles_is_in_a_table() -> None:
-    named = {n for n, m in METHODS.items() if {"target", "targets"} & m.params.model_fields.keys()}
+    named = {n for n, m in PLAIN_METHODS.items() if {"target", "targets"} & m.params.model_fields.keys()}
     assert named == ORDERS.keys() | ANSWERED_HERE | ELSEWHERE
 
 
@@ -199,11 +199,11 @@ async def test_every_order_is_refused_in_words_and_only_a_stop_passes(
         since = gcs.now
         for method, params in ORDERS.items():
             given = {name: str(key) if value == "KEY" else value for name, value in params.items()}
-            one = "target" if "target" in METHODS[method].params.model_fields else "targets"
+            one = "target" if "target" in PLAIN_METHODS[method].params.model_fields else "targets"
             answer = await gcs(method, **{one: "v1"}, **given)
             assert WORDS in str(answer), (method, answer)
             assert gcs.now == since, f"{method} waited for the vehicle"
-            METHODS[method].result.model_validate(answer)  # clients index its keys
+            PLAIN_METHODS[method].result.model_validate(answer)  # clients index its keys
             if method.startswith("logs."):
                 assert answer["outcomes"]["v1"]["logs"] == answer["outcomes"]["v1"]["files"] == []
         for method, params in COMPONENT_ORDERS:

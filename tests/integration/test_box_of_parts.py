@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 
 from skygcs.cli.main import app
 from skygcs.core.separation import DOWNWASH_RATIO, separation_m
+from skygcs.runtime.preflight_run import Preflight
 from skygcs.sim.kinematics import LocalFrame
 from support.on_air import FIELD, OnAir, on_air
 from support.planned import instant_planning
@@ -108,7 +109,7 @@ async def test_step_9_flies_with_four_vehicles_on_the_radio_of_step_3(
             instant_planning(air.daemon)
             await air.settled(4, 120.0)
             for actor in air.daemon.fleet.vehicles.values():
-                actor.preflight.wall_clock = lambda: UNIX_S + clock()
+                actor.part(Preflight).wall_clock = lambda: UNIX_S + clock()
             await asyncio.sleep(30.0)
             least = [math.inf]
             watching = asyncio.create_task(least_distance(air, least), name="distances")

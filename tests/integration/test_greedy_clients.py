@@ -15,10 +15,10 @@ import pytest
 from skygcs.rpc import work_gate
 from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.error_codes import LIMIT_EXCEEDED
-from skygcs.rpc.methods import METHODS
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.work_gate import WorkGate
 from support.examples import covered_by_other_flights
+from support.extension_parts import PLAIN_METHODS
 from support.flown import HOLDING, Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -33,7 +33,7 @@ class Desk:
     def __init__(self, gcs: Flown) -> None:
         self.gcs = gcs
         self.gate = WorkGate(gcs.daemon.fleet.resolve_any)
-        self.dispatcher: Dispatcher[Any] = Dispatcher(METHODS, gate=self.gate)
+        self.dispatcher: Dispatcher[Any] = Dispatcher(PLAIN_METHODS, gate=self.gate)
         self.most = 0
 
     def client(self) -> Any:

@@ -13,8 +13,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from support.asked import ALL_METHODS, asked, methods_with_numbers, resolved, virtual_loop
+from support.asked import asked, methods_with_numbers, resolved, virtual_loop
 from support.examples import examples
+from support.extension_parts import PLAIN_METHODS
 from support.hosts import until
 from support.loops import on_every_loop
 
@@ -95,7 +96,7 @@ async def _ask_all(questions: list[tuple[str, Any]]) -> None:
 @given(data=st.data())
 @settings(max_examples=examples(4), phases=NO_SHRINKING)
 def test_no_number_of_a_client_is_a_fault_of_ours(method: str, data: st.DataObject) -> None:
-    schema = ALL_METHODS[method].params.model_json_schema()
+    schema = PLAIN_METHODS[method].params.model_json_schema()
     asked_for = values(schema, schema.get("$defs", {}))
     questions = [(method, data.draw(asked_for)) for _ in range(25)]
     with asyncio.Runner(loop_factory=virtual_loop) as runner:

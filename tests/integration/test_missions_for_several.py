@@ -17,6 +17,7 @@ from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
 from skygcs.core.protocols.command import Outcome
+from skygcs.ext.missions.methods import turns_of
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.firmware_modes import CopterMode
@@ -454,7 +455,7 @@ async def test_an_order_that_comes_before_the_start_has_been_answered_ends_the_t
             assert (await orders.command_all(actor.name, starts, first=2, force=True))[actor.name].ok
             return outcomes[actor.name]
 
-        assert (await gcs.daemon.fleet.turns.begin([gcs.actor("v1"), gcs.actor("v2")], start))["v1"].ok
+        assert (await turns_of(gcs.daemon).begin([gcs.actor("v1"), gcs.actor("v2")], start))["v1"].ok
         await gcs.until(
             lambda: any("v1 was ordered something else; v2 does not start" in t for t in gcs.texts(0.0, "mission")), 5.0
         )

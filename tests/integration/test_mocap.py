@@ -24,15 +24,15 @@ from skygcs.ext.mocap.config import MocapConfig
 from skygcs.ext.mocap.pose import Pose
 from skygcs.ext.mocap.simulated_capture import SimulatedCapture
 from skygcs.rpc.context import state_of
-from skygcs.rpc.dispatch import Dispatcher
+from skygcs.rpc.dispatch import Dispatcher, MethodTable
 from skygcs.rpc.error_codes import METHOD_NOT_FOUND
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.runtime.loop_clock import Standstill
 from skygcs.sim.vehicle import SimVehicle
+from support.called import call
 from support.daemons import simulated_link, started
 from support.examples import covered_by_other_flights
-from support.extension_parts import ALL_METHODS
 from support.pymav import PymavPeer
 
 COSTS = "vehicles that fly by poses at 30 Hz"
@@ -58,9 +58,7 @@ class Lab:
     events: list[dict[str, Any]] = field(default_factory=list)
 
     async def __call__(self, method: str, **params: Any) -> Any:
-        found = ALL_METHODS[method]
-        answer = found.handler(SimpleNamespace(services=self.daemon, reports=None), found.params(**params))
-        return await answer if asyncio.iscoroutine(answer) else answer
+        return await call(self.daemon, method, **params)
 
     @property
     def cameras(self) -> CaptureCameras:
@@ -340,7 +338,7 @@ async def test_a_daemon_without_mocap_says_so(tmp_path: Path) -> None:
     config = FleetConfig.model_validate({"daemon": {"socket": tmp_path / "s", "record": False}})
     daemon = Daemon(config, load_dialect(config.dialect))
     request = {"jsonrpc": "2.0", "id": 1, "method": "mocap.status"}
-    table = METHODS.table()
+    table = MethodTable(METHODS.values())
     on_demand = MethodsOnDemand(table, daemon.extensions, asyncio.to_thread, asyncio.get_running_loop())
     reply = Dispatcher(table, on_demand).start(SimpleNamespace(services=daemon), request)
     assert isinstance(reply, Coroutine)

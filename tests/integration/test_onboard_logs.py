@@ -14,6 +14,7 @@ import pytest
 
 from skygcs.config.models import SimulatedLinkConfig
 from skygcs.daemon import Daemon
+from skygcs.ext.onboard_logs.vehicle_logs import VehicleLogs
 from skygcs.rpc.client import Client, connect
 from skygcs.sim import onboard_logs as sim
 from skygcs.sim.vehicle import SimVehicle
@@ -120,7 +121,7 @@ async def test_a_download_that_ends_while_its_file_is_being_opened_leaves_no_fil
     async with running(tmp_path) as lab:
         monkeypatch.setattr(os, "open", slow)
         actor = lab.daemon.fleet.vehicles[2 << 8 | 1]
-        download = asyncio.create_task(actor.logs.get([2]))
+        download = asyncio.create_task(actor.part(VehicleLogs).get([2]))
         with stuck_threads():
             await until(asked.is_set)
             download.cancel()
@@ -130,7 +131,7 @@ async def test_a_download_that_ends_while_its_file_is_being_opened_leaves_no_fil
         await until(lambda: any(f.endswith(".part") for f in lab.files()))
         await until(lambda: not held())
         monkeypatch.undo()
-        assert (await actor.logs.get([2])).ok
+        assert (await actor.part(VehicleLogs).get([2])).ok
 
 
 @pytest.mark.parametrize("opening", [False, True])
@@ -148,14 +149,14 @@ async def test_a_download_ends_when_its_vehicle_is_armed_and_goes_on_afterwards(
 
         if opening:
             monkeypatch.setattr(os, "open", slow)
-            download = asyncio.create_task(actor.logs.get([1]))
+            download = asyncio.create_task(actor.part(VehicleLogs).get([1]))
             with stuck_threads():
                 await asyncio.sleep(2.0)
                 vehicle.armed = True
                 await until(lambda: actor.vehicle.armed)
                 go_on.set()
         else:
-            download = asyncio.create_task(actor.logs.get([1]))
+            download = asyncio.create_task(actor.part(VehicleLogs).get([1]))
             await until(lambda: any(f.endswith(".part") and (lab.folder / f).stat().st_size for f in lab.files()))
             vehicle.armed = True
         ended = await download
@@ -163,7 +164,7 @@ async def test_a_download_ends_when_its_vehicle_is_armed_and_goes_on_afterwards(
         assert vehicle.logs._sending is None
         vehicle.armed = False
         await until(lambda: not actor.vehicle.armed)
-        again = await actor.logs.get([1])
+        again = await actor.part(VehicleLogs).get([1])
         assert again.ok and (again.files[0].resumed_at > 0 or opening)
         assert again.files[0].path.read_bytes() == vehicle.logs.logs[1].data
 

@@ -11,6 +11,7 @@ import pytest
 
 from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.trajectory import MotionLimits
+from skygcs.runtime.preflight_run import Preflight
 from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, load, phased, refused, state, timed
@@ -41,7 +42,7 @@ def checks(found: dict[str, Any]) -> set[tuple[str | None, str]]:
 def set_clocks(gcs: Flown) -> None:
     """The time of day is that of the simulated vehicles."""
     for sim in gcs.sims:
-        gcs.actor(f"v{sim.sysid}").preflight.wall_clock = lambda: 1_700_000_000.0 + gcs.now
+        gcs.actor(f"v{sim.sysid}").part(Preflight).wall_clock = lambda: 1_700_000_000.0 + gcs.now
 
 
 async def set_apart(gcs: Flown) -> None:

@@ -138,7 +138,7 @@ async def left_behind(tmp_path: Path, name: str) -> dict[str, float]:
         kept = entry.read_bytes()
         test.cancel()
         await asyncio.gather(test, return_exceptions=True)
-        await gcs.until(lambda: not gcs.actor(name).fence.testing)
+        await gcs.until(lambda: not gcs.actor(name).fence_watch.testing)
         assert not entry.exists()
     entry.write_bytes(kept)
     return changed

@@ -21,6 +21,7 @@ from skygcs.core.mavlink.signing import is_signed_with, key_id, timestamp_at, ti
 from skygcs.daemon import Daemon
 from skygcs.errors import KeyFileError, LinkError, RefusedError, RpcError
 from skygcs.rpc.client import connect
+from support.called import signing_setup_of
 from support.daemons import made_daemon, memory_link, started
 from support.examples import covered_by_other_flights
 from support.hosts import until
@@ -317,10 +318,10 @@ async def test_a_vehicle_is_given_no_time_of_the_future(tmp_path: Path, state_ho
     pin(state_home)
     async with running(tmp_path, sim=simulated(ardupilot=1)) as daemon:
         await discovered(daemon, 1)
-        outcome = (await daemon.signing_setup.setup("1", key_file(tmp_path)))["v1"]
+        outcome = (await signing_setup_of(daemon).setup("1", key_file(tmp_path)))["v1"]
         assert outcome.result == "refused" and "reset-clock" in outcome.message
         daemon.signing.reset_clock(key_id(KEY))
-        assert (await daemon.signing_setup.setup("1", key_file(tmp_path)))["v1"].ok
+        assert (await signing_setup_of(daemon).setup("1", key_file(tmp_path)))["v1"].ok
 
 
 # -- giving vehicles their key
@@ -374,7 +375,7 @@ async def test_unsigned_orders_to_a_vehicle_that_signs_say_so(tmp_path: Path) ->
         await discovered(daemon, 1)
         before = await gcs.call("params.get", targets="1", names=["NO_SUCH"])
         assert why not in before["outcomes"]["v1"]["NO_SUCH"]["message"]
-        assert (await daemon.signing_setup.setup("1", path))["v1"].ok
+        assert (await signing_setup_of(daemon).setup("1", path))["v1"].ok
         await until(lambda: why in daemon.fleet.vehicles[1 << 8 | 1].commands.why_silent())
         arm = (await gcs.call("vehicles.arm", targets="1"))["outcomes"]["v1"]
         param = (await gcs.call("params.get", targets="1", names=["RTL_ALT"]))["outcomes"]["v1"]["RTL_ALT"]
@@ -400,11 +401,11 @@ async def test_a_key_in_use_is_changed_and_forgotten_over_the_link_that_has_it(t
     async with running(tmp_path, sim=simulated(ardupilot=1, signing=both)) as daemon:
         await discovered(daemon, 1)
         for _ in range(2):
-            assert (await daemon.signing_setup.setup("1", path))["v1"].ok
-            off = await daemon.signing_setup.off("1")
+            assert (await signing_setup_of(daemon).setup("1", path))["v1"].ok
+            off = await signing_setup_of(daemon).off("1")
             assert off["v1"].ok and off["v1"].message == "it no longer signs"
-        assert (await daemon.signing_setup.setup("1", path))["v1"].ok
-        told = await daemon.signing_setup.setup("1", other)
+        assert (await signing_setup_of(daemon).setup("1", path))["v1"].ok
+        told = await signing_setup_of(daemon).setup("1", other)
         assert told["v1"].ok and "drops the vehicle's frames" in told["v1"].message
         assert counts(daemon, "sim")["bad_signature"] > 0
 
@@ -412,7 +413,7 @@ async def test_a_key_in_use_is_changed_and_forgotten_over_the_link_that_has_it(t
 async def test_a_firmware_that_cannot_sign_is_told(tmp_path: Path) -> None:
     async with running(tmp_path, sim=simulated(px4=1)) as daemon:
         await discovered(daemon, 1)
-        told = await daemon.signing_setup.setup("1", key_file(tmp_path))
+        told = await signing_setup_of(daemon).setup("1", key_file(tmp_path))
         assert (told["v1"].ok, told["v1"].result, told["v1"].attempts) == (False, "timeout", 3)
         assert "not every firmware" in told["v1"].message
 
@@ -424,14 +425,14 @@ async def test_no_key_while_armed_or_where_others_hear(tmp_path: Path) -> None:
         wire(daemon, "bench").send(vehicle.heartbeat(armed=True))
         wire(daemon).send(on_radio.heartbeat())
         await discovered(daemon, 4)
-        told = await daemon.signing_setup.setup("all", path)
+        told = await signing_setup_of(daemon).setup("all", path)
         assert {name: outcome.result for name, outcome in told.items()} == dict.fromkeys(
             ("v1", "v2", "v7", "v8"), "refused"
         )
         assert "v2 on the same link" in told["v1"].message
         assert "armed" in told["v7"].message
         assert "radio: a radio, received by everyone in range" in told["v8"].message
-        assert (await daemon.signing_setup.setup("1,2", path, force=True))["v2"].ok
+        assert (await signing_setup_of(daemon).setup("1,2", path, force=True))["v2"].ok
         assert not any(raw[7] | raw[8] << 8 == 256 for raw in wire(daemon).received + wire(daemon, "bench").received)
 
 
@@ -440,7 +441,7 @@ async def test_a_vehicle_that_is_armed_meanwhile_is_sent_no_more(tmp_path: Path)
         vehicle = PymavPeer(7, 1)
         wire(daemon, "bench").send(vehicle.heartbeat())
         await discovered(daemon, 1)
-        setup = asyncio.create_task(daemon.signing_setup.setup("7", key_file(tmp_path)))
+        setup = asyncio.create_task(signing_setup_of(daemon).setup("7", key_file(tmp_path)))
         await asyncio.sleep(0.1)
         wire(daemon, "bench").send(vehicle.heartbeat(armed=True))
         told = await setup

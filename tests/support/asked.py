@@ -13,11 +13,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.daemon import Daemon
-from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
 from skygcs.rpc.dispatch import Dispatcher
-from skygcs.rpc.methods import METHODS
 from skygcs.rpc.sessions import Session, Sessions
 from support.daemons import made_daemon, memory_link, started
+from support.extension_parts import ON_DEMAND, PLAIN_METHODS
 from support.hosts import until
 from support.pymav import PymavPeer
 from support.virtual_asyncio import VirtualAsyncio
@@ -50,10 +49,6 @@ class _Transport(asyncio.Transport):
         self.lines += [json.loads(line) for line in lines]
 
 
-ALL_METHODS = {**METHODS, **{method.name: method for method in PLAN_METHODS}}
-"""Those of a daemon whose fleet file has no extension's table."""
-
-
 class Asked:
     """``complaints``: of the event loop, which nobody may ever have."""
 
@@ -64,8 +59,9 @@ class Asked:
         self.vehicle = PymavPeer(1, 1)
         daemon.loop.set_exception_handler(lambda _, context: self.complaints.append(context))
         daemon.event_log.subscribe(self.events.append)
-        daemon.extensions.demand("plan")
-        self._sessions = Sessions(daemon, Dispatcher(ALL_METHODS), daemon.loop)
+        for word in ON_DEMAND:
+            daemon.extensions.demand(word)
+        self._sessions = Sessions(daemon, Dispatcher(PLAIN_METHODS), daemon.loop)
         self._transport = _Transport()
         self._session = Session(self._sessions, None)
         self._session.connection_made(self._transport)
@@ -145,6 +141,6 @@ def resolved(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> Mapping[str,
 
 def methods_with_numbers() -> Iterator[str]:
     """Methods with a number among their parameters."""
-    for name, method in ALL_METHODS.items():
+    for name, method in PLAIN_METHODS.items():
         if re.search(r"'(number|integer)'", str(method.params.model_json_schema())):
             yield name

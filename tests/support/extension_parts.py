@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, get_type_hints
@@ -19,15 +19,28 @@ OWN = {name: point.value for name, point in sorted(installed().items()) if point
 ON_DEMAND = {word: point.value for word, point in on_demand().items() if point.value.startswith("skygcs.ext.")}
 """Our own extensions without a table: the first word of their methods, and their classes."""
 
-ROOMS = sorted({".".join(value.partition(":")[0].split(".")[:3]) for value in (*OWN.values(), *ON_DEMAND.values())})
+
+def _rooms_of(classes: Iterable[str]) -> list[str]:
+    return sorted({".".join(value.partition(":")[0].split(".")[:3]) for value in classes})
+
+
+ROOMS = _rooms_of((*OWN.values(), *ON_DEMAND.values()))
 """Their folders."""
 
-ALL_METHODS: dict[str, Method[Any]] = dict(METHODS) | {
-    method.name: method
-    for room in ROOMS
-    if find_spec(f"{room}.methods") is not None
-    for method in import_module(f"{room}.methods").METHODS
-}
+
+def _methods_of(rooms: Iterable[str]) -> dict[str, Method[Any]]:
+    return {
+        method.name: method
+        for room in rooms
+        if find_spec(f"{room}.methods") is not None
+        for method in import_module(f"{room}.methods").METHODS
+    }
+
+
+PLAIN_METHODS: dict[str, Method[Any]] = dict(METHODS) | _methods_of(_rooms_of(ON_DEMAND.values()))
+"""Those of a daemon whose fleet file has no extension's table, by name."""
+
+ALL_METHODS: dict[str, Method[Any]] = PLAIN_METHODS | _methods_of(_rooms_of(OWN.values()))
 """Those of the core and of our own extensions, by name."""
 
 

@@ -39,6 +39,7 @@ from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
 from skygcs.ext.plans.planning.planning_queue import PlanningQueue
 from skygcs.ext.plans.planning.process import OnProgress, ProcessLimits
 from skygcs.ext.plans.planning.worker import answered
+from skygcs.ext.preflight.methods import PreflightChecks
 from skygcs.extension import Extension, Extensions, NoTable
 from skygcs.rpc.context import Services
 from skygcs.rpc.dispatch import Method
@@ -92,7 +93,7 @@ class FakeVehicle:
     def __init__(self, sysid: int, name: str, autopilot: str, groups: tuple[str, ...]) -> None:
         self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
         self.params: Any = None
-        self.metadata: Any = None
+        self.parts: dict[type, Any] = {}
         self.missions = FakeMissions()
         self.missions.fetch = self._fetched
         self.outcomes = SimpleNamespace(finish=lambda order, outcome: outcome)
@@ -124,6 +125,9 @@ class FakeVehicle:
         self.config = SimpleNamespace(separation=SeparationSettings(), control=ControlSettings())
         clock = SimpleNamespace(ticks=0, lateness_p99_s=lambda: None)
         self.offboard = SimpleNamespace(tracking=TrackingRecord(), clock=clock)
+
+    def part(self, kind: type) -> Any:
+        return self.parts[kind]
 
     async def given(self, order: str, **arguments: Any) -> FakeOutcome:
         """The outcome of an order by its name: by a method of this name, where it has one."""
@@ -291,36 +295,6 @@ class FakeVehicle:
         }
 
 
-class FakeUndo:
-    """One change that waits to be undone, until it is."""
-
-    def __init__(self) -> None:
-        values: dict[str, Any] = {"before": {"GF_ACTION": 1.0}, "changed": {"GF_ACTION": 3.0}}
-        names = {
-            "vehicle": "alpha",
-            "sysid": 1,
-            "autopilot": "px4",
-            "what": "fence test",
-            "began": "2026-01-02T03:04:05Z",
-        }
-        self.changes: list[dict[str, Any]] = [{"id": "1-a", **names, **values}]
-        self.asked: list[tuple[str, str, bool]] = []
-
-    def left(self) -> dict[str, Any]:
-        return {"changes": list(self.changes), "problems": []}
-
-    async def run(self, id: str, *, force: bool = False) -> FakeOutcome:
-        self.asked.append(("run", id, force))
-        self.changes = [c for c in self.changes if c["id"] != id]
-        return FakeOutcome(True, "accepted", "it is as before (GF_ACTION set)")
-
-    def drop(self, id: str) -> None:
-        if id not in [c["id"] for c in self.changes]:
-            raise RefusedError(f"no change with id {id!r} waits to be undone")
-        self.asked.append(("drop", id, False))
-        self.changes = [c for c in self.changes if c["id"] != id]
-
-
 class FakeMonitor:
     """Answers what a test puts into ``answer``; by sysid << 8 | compid ``conflicts`` of vehicles."""
 
@@ -395,14 +369,15 @@ class FakePlanning(Extension[NoTable]):
         return PlanningQueue(asyncio.get_running_loop(), compute_here)
 
 
-class FakeTurns:
-    """No missions are flown one after another."""
+class FakeChecks(PreflightChecks):
+    """Preflight of the `FakeFleet`, which a test tells what is found."""
 
-    def of(self, _: FakeVehicle) -> None:
-        return None
+    async def examine(self, targets: Any, **how: Any) -> dict[str, Any]:
+        fleet = cast("FakeFleet", self.core.fleet)
+        return await fleet.preflight(targets, **how)
 
-    def end(self, why: str) -> bool:
-        return False
+    def status(self, targets: Any) -> dict[str, Any]:
+        return {vehicle.name: {"state": "never"} for vehicle in self.core.fleet.resolve(targets)}
 
 
 class Awake:
@@ -422,10 +397,10 @@ class FakeFleet:
 
     def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
-        self.undo = FakeUndo()
         self.monitor = FakeMonitor()
         self.plans = FakePlans()
-        self.turns = FakeTurns()
+        self.on_ending: list[Any] = []
+        self.journal = self.disk = None
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []
@@ -462,9 +437,6 @@ class FakeFleet:
     ) -> dict[str, Any]:
         self.preflight_asked.append((fix, confirmed))
         return {vehicle.name: self.preflight_told[vehicle.name] for vehicle in self.resolve(targets)}
-
-    def preflight_status(self, targets: str | list[str]) -> dict[str, Any]:
-        return {vehicle.name: {"state": "never"} for vehicle in self.resolve(targets)}
 
     def forget(self, targets: str | list[str], *, force: bool = False) -> dict[str, FakeOutcome]:
         there = self.resolve(targets)
@@ -510,12 +482,19 @@ class FakeFleet:
         return self
 
     async def command_all(
-        self, targets: str | list[str], order: Order, /, *, reports: Reports | None = None, **arguments: Any
+        self,
+        targets: str | list[str],
+        order: Order,
+        /,
+        *,
+        reports: Reports | None = None,
+        shaped: object = None,
+        each: object = None,
+        moves: bool = True,
+        **arguments: Any,
     ) -> dict[str, FakeOutcome]:
         vehicles, name = self.resolve(targets), order.__name__
-        inspect.signature(order).bind(
-            None, **{k: v for k, v in arguments.items() if k not in ("confirm", "arrangement")}
-        )
+        inspect.signature(order).bind(None, **{k: v for k, v in arguments.items() if k != "confirm"})
         if name == "disarm":
             arguments.pop("confirm", None)
         if name == "stop":
@@ -617,9 +596,13 @@ class FakeDaemon:
             send_gates=None,
         )
         self.links.status = self._links_status  # type: ignore[attr-defined]
-        self.extensions = Extensions({"plan": FakePlanning(cast("Services", self), NoTable())}, _raised)
+        services = cast("Services", self)
+        self.extensions = Extensions(
+            {"plan": FakePlanning(services, NoTable()), "preflight": FakeChecks(services, NoTable())}, _raised, services
+        )
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
+        self.signing = SimpleNamespace(status=lambda channels: {"keys": [], "links": []})
         self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})
         self.air = SimpleNamespace(status=lambda now: [], select=lambda keys: None)
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []

@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any, Self
 
-from skygcs.core.preflight.report import LinkFacts
+from skygcs.core.routing.source_statistics import LinkFacts
+from skygcs.runtime.preflight_run import Preflight, examine_fleet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.vehicle import SimVehicle
 from support.services import KnownLinks
@@ -37,7 +38,7 @@ class PreflightField(SimField):
     async def __aenter__(self) -> Self:
         await super().__aenter__()
         for actor in self.fleet.vehicles.values():
-            actor.preflight.wall_clock = lambda: UNIX_S + self.loop.time()
+            actor.part(Preflight).wall_clock = lambda: UNIX_S + self.loop.time()
         return self
 
     def on_send(self, message: str, values: Mapping[str, Any]) -> None:
@@ -62,7 +63,7 @@ class PreflightField(SimField):
 
     async def complaints(self, name: str) -> dict[str, str]:
         """What a preflight has to say against a vehicle: text by check, worst first."""
-        answer = await self.fleet.preflight(name)
+        answer = await examine_fleet(self.fleet, name)
         wrong = [f for f in answer[name]["findings"] if f["verdict"] in ("fail", "unknown")]
         assert answer[name]["ok"] is (not wrong)
         return {f["check"]: f["text"] for f in wrong}

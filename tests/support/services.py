@@ -10,9 +10,9 @@ from typing import Any, cast
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.routing_table import RouteNote
+from skygcs.core.routing.source_statistics import LinkFacts
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.links.base import Channel

@@ -13,4 +13,6 @@ from support.vehicles import flight_dialect
 def shipped_metadata(family: str) -> VehicleMetadata:
     vehicle = SimpleNamespace(family=family, firmware=None)
     params = SimpleNamespace(rate=None, cache=ParamCache(None))
-    return VehicleMetadata(cast(Any, vehicle), flight_dialect(), cast(Any, params), cast(Any, None))
+    services = SimpleNamespace(dialect=flight_dialect())
+    actor = SimpleNamespace(vehicle=vehicle, services=services, params=params, request=None)
+    return VehicleMetadata(cast(Any, actor))

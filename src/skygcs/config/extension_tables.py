@@ -4,8 +4,8 @@ the extensions that have no table.
 The entry points of the group `GROUP` name the extensions: the entry point ``metrics = "skygcs.ext.metrics:Metrics"``
 owns the table [metrics]. Only the extensions whose tables a file has are imported.
 
-Those of the group `ON_DEMAND` have no table: the entry point names the first word of their methods, and such an
-extension is imported when one of these is first called.
+Those of the group `ON_DEMAND` have no table: the entry point names the first word of their methods, or the begin of
+their names up to a `_`, and such an extension is imported when one of these is first called.
 
 `installed_points` is the one reader of entry points, for the groups of the shell and of the page as well. Packages are
 read one by one: one that names a group of `skygcs` in metadata which cannot be read, or does not follow the format, is
@@ -15,7 +15,7 @@ left out and reported, and hides no other. https://packaging.python.org/en/lates
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ class TableOwner(Protocol):
 
     Config: ClassVar[type[Model]]
     control_at: ClassVar[str | None]
+    names: ClassVar[tuple[str, ...]]
 
     @classmethod
     def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
@@ -137,6 +138,13 @@ def find_owners(names: set[str]) -> tuple[dict[str, type[TableOwner]], dict[str,
     return owners, problems
 
 
+def word_problems(owners: Mapping[str, type[TableOwner]]) -> list[str]:
+    """Which of these extensions take a first word of methods that an extension of skygcs itself has on demand."""
+    ours = {word for word, point in on_demand().items() if point.value.startswith(OWN_PACKAGE)} if owners else set()
+    taken = {name: sorted({name, *owner.names} & ours) for name, owner in owners.items()}
+    return [f"[{name}]: methods that begin with {words[0]} are skygcs' own" for name, words in taken.items() if words]
+
+
 @functools.cache
 def entry_point_problems() -> list[str]:
     """Faults in the entry points of installed extensions, each for a person."""
@@ -148,6 +156,12 @@ def on_demand() -> Mapping[str, EntryPoint]:
     """The installed extensions without a table, by the first word of their methods; reads the packages' metadata once
     (5 to 20 ms)."""
     return installed_points(ON_DEMAND).points
+
+
+def demanded_word(name: str, words: Collection[str]) -> str:
+    """The one of these words of extensions on demand that has the method ``name``; its first word if none has."""
+    begin = name.partition("_")[0]
+    return begin if begin in words else name.partition(".")[0]
 
 
 def find_on_demand(word: str) -> type[TableOwner] | None:

@@ -14,8 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from skygcs.config.tables import Model
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
-from skygcs.core.preflight.expectations import ControlMode, Expectations, Rule
-from skygcs.core.preflight.health import version_problem
+from skygcs.core.preflight.expectations import ControlMode, Expectations, Rule, version_problem
 from skygcs.core.separation import Footprint
 
 MonitorMode = Literal["off", "advisory", "acting"]

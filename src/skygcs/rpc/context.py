@@ -29,7 +29,6 @@ from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing
-from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 JsonObject = dict[str, Any]
@@ -75,7 +74,6 @@ class Services(Protocol):
     corrections: CorrectionFeed
     message_sender: MessageSender
     renumbering: Renumbering
-    signing_setup: SigningSetup
     operator_watchdog: OperatorWatchdog
     recorder: Recorder | None
     signing: Signing
@@ -164,8 +162,9 @@ def order_method(
     *,
     result: type[Result] = Outcomes,
     errors: tuple[int, ...] = (error_codes.TARGET_ERROR,),
+    **more: Any,
 ) -> Method[Context]:
-    """The method of an order whose arguments are its parameters.
+    """The method of an order whose arguments are its parameters. ``more``: for `FleetOrders.command_all`.
 
     An order that ends a flight is carried on to its outcome if its client leaves, and is accepted from a client that
     came when all places were taken and while the daemon shuts down.
@@ -173,7 +172,7 @@ def order_method(
 
     async def handler(context: Context, given: TargetsParams) -> JsonObject:
         give = context.services.fleet.orders.command_all
-        return as_json(await give(given.targets, order, reports=context.reports, **given.arguments()))
+        return as_json(await give(given.targets, order, reports=context.reports, **more, **given.arguments()))
 
     handler.__doc__ = description
     ends_flight = order in CARRIED_ON

@@ -8,15 +8,12 @@ Why not a library: docs/decisions/0002-json-rpc-dispatch.md.
 from __future__ import annotations
 
 import asyncio
-import functools
-import importlib
 import inspect
 import json
-from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import structlog
 from pydantic import TypeAdapter, ValidationError
@@ -120,57 +117,10 @@ class Method(Generic[C]):
         return self.always and self.outlives_client
 
 
-class Later(NamedTuple):
-    """Methods that are imported when one of them is first called: ``part`` of a module, a tuple of all methods with
-    this first ``word``.
-
-    The call that has it imported does not outlive its client, and a client that came when all places were taken is
-    refused it, as is one that calls while the daemon shuts down.
-    """
-
-    word: str
-    module: str
-    part: str = "METHODS"
-
-    def load(self) -> tuple[Method[Any], ...]:
-        """Its methods; its module is imported if it was not."""
-        found: tuple[Method[Any], ...] = getattr(importlib.import_module(self.module), self.part)
-        return found
-
-
-class DeclaredMethods(Mapping[str, Method[C]]):
-    """The methods of the core by name, in the order in which they are documented. To read them imports all."""
-
-    def __init__(self, *parts: Iterable[Method[C]] | Later) -> None:
-        self._parts = parts
-
-    def table(self) -> MethodTable[C]:
-        """A table for one server; nothing is imported for it."""
-        later = {part.word: part for part in self._parts if isinstance(part, Later)}
-        return MethodTable((m for part in self._parts if not isinstance(part, Later) for m in part), later)
-
-    @functools.cached_property
-    def _methods(self) -> dict[str, Method[C]]:
-        parts = (part.load() if isinstance(part, Later) else part for part in self._parts)
-        return {method.name: method for part in parts for method in part}
-
-    def __getitem__(self, name: str) -> Method[C]:
-        return self._methods[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._methods)
-
-    def __len__(self) -> int:
-        return len(self._methods)
-
-
 class MethodTable(dict[str, Method[C]]):
-    """The methods that can be called, by name, and those that may come ``later``, by their first word."""
+    """The methods that can be called, by name."""
 
-    def __init__(self, methods: Iterable[Method[C]], later: Mapping[str, Later] = MappingProxyType({})) -> None:
-        self.later = dict(later)
-        self._of_the_core = frozenset(later)
-        """First words that no further method may have, whether those of the core were imported or not."""
+    def __init__(self, methods: Iterable[Method[C]]) -> None:
         self.always: set[str] = set()
         self.while_stopping: set[str] = set()
         """With those that are always answered."""
@@ -183,19 +133,9 @@ class MethodTable(dict[str, Method[C]]):
         self.require_free(methods)
         self._take(methods)
 
-    def add_later(self, word: str) -> None:
-        """Take those with this first word; their module is imported if it was not."""
-        self._take(self.later[word].load())
-        del self.later[word]
-
     def require_free(self, methods: Collection[Method[C]]) -> None:
-        """Raises ValueError if one of these has the name of another, or the first word of a part of the core that is
-        imported when it is first called: before that and after it."""
-        names = sorted(method.name for method in methods)
-        if taken := [name for name in names if first_word(name) in self._of_the_core]:
-            words = ", ".join(sorted({first_word(name) for name in taken}))
-            raise ValueError(f"{', '.join(taken)}: methods that begin with {words} are the core's own")
-        if twice := [name for name in names if name in self]:
+        """Raises ValueError if one of these has the name of another."""
+        if twice := [name for name in sorted(method.name for method in methods) if name in self]:
             raise ValueError(f"two methods are called {', '.join(twice)}")
 
     def _take(self, methods: Iterable[Method[C]]) -> None:

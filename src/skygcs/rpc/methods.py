@@ -23,7 +23,7 @@ from skygcs.rpc import (
     vehicles,
 )
 from skygcs.rpc.context import RELAY, Context, JsonObject
-from skygcs.rpc.dispatch import DeclaredMethods, Encoded, Later, Method, document
+from skygcs.rpc.dispatch import Encoded, Method, document
 from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
 from skygcs.rpc.replies import encode
 from skygcs.runtime.loop_clock import exact_clock
@@ -122,7 +122,7 @@ def _document(methods: tuple[Method[Context], ...]) -> Encoded:
     return Encoded(encode(document((*METHODS.values(), *of_extensions))))
 
 
-METHODS: DeclaredMethods[Context] = DeclaredMethods(
+_PARTS: tuple[tuple[Method[Context], ...], ...] = (
     (Method("daemon.info", NoParams, daemon_info, always=True),),
     vehicles.METHODS,
     messages.ORDERS,
@@ -147,21 +147,15 @@ METHODS: DeclaredMethods[Context] = DeclaredMethods(
         Method("operator.active", NoParams, operator_active, PresenceResult, while_stopping=True),
     ),
     control.ORIGIN,
-    Later("params", "skygcs.rpc.params"),
     control.METHODS,
-    Later("trajectory", "skygcs.rpc.trajectory"),
     (Method("clock.read", NoParams, clock_read, ClockReading, while_stopping=True),),
     alarms.METHODS,
     alarms.MONITOR,
-    Later("missions", "skygcs.rpc.missions"),
     links.AIR,
     links.CORRECTIONS,
-    Later("fence", "skygcs.rpc.missions", "FENCE"),
-    Later("logs", "skygcs.rpc.missions", "LOGS"),
-    Later("signing", "skygcs.rpc.signing"),
-    Later("preflight", "skygcs.rpc.params", "PREFLIGHT"),
-    Later("undo", "skygcs.rpc.params", "UNDO"),
     (Method("rpc.discover", NoParams, rpc_discover, reach="nothing"),),
 )
-"""In the order in which they are documented. `Later`: what is not for an emergency, and 1.3 MB that most daemons never
-need. What a setpoint, the origin or an operator's sign of life need is there from the start."""
+"""In the order in which they are documented: what an emergency, a setpoint, the origin or an operator's sign of life
+needs. Methods that come with their first call are those of extensions on demand (`skygcs.rpc.methods_on_demand`)."""
+
+METHODS: dict[str, Method[Context]] = {method.name: method for part in _PARTS for method in part}

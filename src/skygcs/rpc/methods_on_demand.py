@@ -1,10 +1,6 @@
 """Methods that come into the table of a server when one of them is first called, all with its first word together.
 
-    the word is one of                      they come from
-    the table's ``later``                   a module of the core
-    installed extensions without a table    the extension, which is made for it (`skygcs.extension.Extensions.demand`)
-    both                                    the core; the extension's are refused (`MethodTable.require_free`)
-    neither                                 the method is refused, at once from the second time on
+They are those of installed extensions without a table, made for it by `skygcs.extension.Extensions.demand`.
 
 Modules are imported beside the loop, and so is the packages' metadata read, once.
 """
@@ -18,7 +14,7 @@ from typing import Any, Protocol
 
 import structlog
 
-from skygcs.config.extension_tables import entry_point_problems, find_on_demand, installed, on_demand
+from skygcs.config.extension_tables import demanded_word, entry_point_problems, find_on_demand, installed, on_demand
 from skygcs.errors import RefusedError
 from skygcs.rpc.dispatch import Method, MethodTable, first_word
 
@@ -46,6 +42,8 @@ class MethodsOnDemand:
         self._extensions = extensions
         self._beside = beside
         self._loop = loop
+        self._from_the_start = frozenset(table)
+        """Methods that never wait: an order of the core does not, though an extension adds one with its first word."""
         self.extension_tables: Collection[str] = frozenset()
         """Names of the tables of installed extensions; empty until they are looked for."""
         self._words: Collection[str] | None = None
@@ -57,10 +55,11 @@ class MethodsOnDemand:
 
     def may_have(self, name: str) -> bool:
         """True if a part that was not imported may have this method, or calls wait for that part."""
-        word = first_word(name)
-        if word in self._last_turns or word in self._tasks:
+        if name in self._from_the_start:
+            return False
+        if first_word(name) in self._last_turns:
             return True
-        return name not in self._table and (self._words is None or word in self._words or word in self._table.later)
+        return name not in self._table and (self._words is None or demanded_word(name, self._words) in self._words)
 
     async def add(self, name: str) -> None:
         """Add the methods with the first word of ``name``, if there are any. It returns to calls of one first word in
@@ -70,7 +69,7 @@ class MethodsOnDemand:
         before = self._last_turns.get(word)
         turn = self._last_turns[word] = self._loop.create_future()
         try:
-            await self._add(word, name)
+            await self._add(name)
         finally:
             try:
                 if before is not None and not before.done():
@@ -86,15 +85,14 @@ class MethodsOnDemand:
         if self._last_turns[word] is turn:
             del self._last_turns[word]
 
-    async def _add(self, word: str, name: str) -> None:
-        if word in self._table.later:
-            await self._once(word, lambda: self._import_part(word))
-        if name not in self._table and word in await self._words_of_extensions():
+    async def _add(self, name: str) -> None:
+        words = await self._words_of_extensions()
+        if name not in self._table and (word := demanded_word(name, words)) in words:
             await self._once(word, lambda: self._import_extension(word))
 
     async def add_all(self) -> None:
         """Add all. An extension that cannot be made is left out; that was reported."""
-        for word in (*self._table.later, *sorted(await self._words_of_extensions())):
+        for word in sorted(await self._words_of_extensions()):
             with contextlib.suppress(RefusedError):
                 await self.add(word)
 
@@ -132,10 +130,6 @@ class MethodsOnDemand:
 
     def _read_tables(self) -> None:
         self.extension_tables = frozenset(installed())
-
-    async def _import_part(self, word: str) -> None:
-        await self._beside(self._table.later[word].load)
-        self._table.add_later(word)
 
     async def _import_extension(self, word: str) -> None:
         self._extensions.require_well(word)

@@ -9,8 +9,9 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
 
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
 from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ
 from skygcs.core.vehicle.targets import size_problem
 
@@ -197,3 +198,29 @@ class OutcomeResult(Result):
 
 class Outcomes(Result):
     outcomes: dict[str, OutcomeResult] = Field(description="By vehicle name.")
+
+
+def _param_name(text: str) -> str:
+    if not is_name(text):
+        raise ValueError(f"a parameter's name has letters, digits and _, at most {NAME_CHARS}")
+    return text
+
+
+ParamName = Annotated[str, AfterValidator(_param_name)]
+
+
+class ParamResult(Result):
+    """How getting or setting one parameter ended."""
+
+    ok: bool
+    result: str = Field(
+        description="accepted, denied (the vehicle kept its value), changed (it took another one), unknown, timeout, "
+        "cancelled, lost or refused (by skygcs)."
+    )
+    message: str
+    name: str = Field(description="The vehicle's own name for it; another one than asked for in two generations.")
+    value: float | None = Field(description="The value that the vehicle reports; null: none reported, or no number.")
+    type: str | None = Field(description="MAV_PARAM_TYPE: REAL32, INT32, …")
+    before: float | None
+    attempts: int
+    elapsed_s: float

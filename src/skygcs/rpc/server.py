@@ -93,14 +93,14 @@ class RpcServer:
             imports = _Imports(loop)
             await imports.beside("skygcs.rpc.methods")
             await imports.beside("skygcs.rpc.sessions")
-            from skygcs.rpc.dispatch import Dispatcher
+            from skygcs.rpc.dispatch import Dispatcher, MethodTable
             from skygcs.rpc.methods import METHODS
             from skygcs.rpc.methods_on_demand import MethodsOnDemand
             from skygcs.rpc.sessions import Session, Sessions
             from skygcs.rpc.work_gate import WorkGate
 
             extensions = self._services.extensions
-            methods = METHODS.table()
+            methods = MethodTable(METHODS.values())
             methods.add(extensions.methods)
             on_demand = MethodsOnDemand(methods, extensions, imports.call_beside, loop)
             dispatcher = Dispatcher(methods, on_demand, WorkGate(self._services.fleet.resolve_any))

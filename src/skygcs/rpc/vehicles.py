@@ -112,12 +112,6 @@ class GotoParams(TargetsParams):
         return self
 
 
-class CalibrateParams(TargetsParams):
-    sensor: Literal["gyro", "level", "compass", "accel"] = Field(
-        description="accel: six poses; an ArduPilot asks for each and waits for vehicles.calibrate_confirm."
-    )
-
-
 class RebootParams(TargetsParams):
     force: bool = Field(False, description="Reboot although it is armed.")
 
@@ -213,21 +207,6 @@ METHODS: tuple[Method[Context], ...] = (
         GotoParams,
         VehicleActor.goto,
         "Fly to a place on earth, or in metres about the fleet's origin.",
-    ),
-    order_method(
-        "vehicles.calibrate",
-        CalibrateParams,
-        VehicleActor.calibrate,
-        'Calibrate a sensor of disarmed vehicles. Progress: events of kind "calibration". It ends with its client.',
-    ),
-    order_method(
-        "vehicles.calibrate_confirm",
-        TargetsParams,
-        VehicleActor.confirm_pose,
-        "Confirm the pose that an accel calibration of an ArduPilot asked for; a PX4 detects it.",
-    ),
-    order_method(
-        "vehicles.calibrate_cancel", TargetsParams, VehicleActor.cancel_calibration, "End the calibration that runs."
     ),
     order_method("vehicles.reboot", RebootParams, VehicleActor.reboot, "Reboot the autopilot; armed only with force."),
     Method("vehicles.forget", ForgetParams, vehicles_forget, Outcomes, _TARGET),

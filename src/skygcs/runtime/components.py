@@ -17,10 +17,10 @@ from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.component import Component
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.gate import clear_command
-from skygcs.core.vehicle.message_cache import StatusText
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.snapshot import reading_of
 from skygcs.core.vehicle.state import SEVERITY, name_of
+from skygcs.core.vehicle.status_texts import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import model_of
 from skygcs.errors import RefusedError

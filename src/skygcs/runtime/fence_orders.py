@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,12 +21,11 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import fence_params
 from skygcs.core.vehicle.flight_lock import FenceWrite, widens
 from skygcs.core.vehicle.orders import require_connected
-from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.undo_journal import UndoableChange
-from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import VehiclePart
 
 LOOK_S = 0.25
 ASK_S = 1.0
@@ -80,27 +79,22 @@ class _Walk:
             self.breached_at = now
 
 
-class VehicleFence:
-    """The fence of one vehicle. ``request`` requests one message of the vehicle. Tests are reported as events."""
+class VehicleFence(VehiclePart):
+    """The fence of one vehicle. Tests are reported as events."""
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        params: VehicleParams,
-        services: VehicleServices,
-        request: Callable[[str], Awaitable[Outcome]],
-    ) -> None:
-        self._vehicle = vehicle
-        self._params = params
+    def __init__(self, actor: VehicleActor) -> None:
+        services = actor.services
+        self._vehicle = actor.vehicle
+        self._params = actor.params
+        self._watch = actor.fence_watch
+        self._request = actor.request
         self._dialect = services.dialect
         self._loop = services.loop
         self._on_event = services.on_event
-        self._request = request
         self._log_dir = services.log_dir
         self._journal = services.journal
         self._disk = services.disk
         self._locks = services.locks
-        self._testing = False
         self._tester: asyncio.Task[FenceOutcome] | None = None
         self._ended_with: Outcome | None = None
         """Outcome of the last test."""
@@ -108,34 +102,18 @@ class VehicleFence:
         self._endings: set[asyncio.Task[Outcome]] = set()
         """Tests that restore parameters; a task without a reference may be discarded."""
         self._last_text: str | None = None
-        self._watch = fence_params.FenceWatch()
-
-    def tick(self, now: float) -> None:
-        """Report a breach that begins or ends, but not that of a test. Called one to ten times a second."""
-        if not self._testing and (event := self._watch.look(self._vehicle, now)) is not None:
-            self._on_event(event)
-
-    @property
-    def testing(self) -> bool:
-        """True while a test is in progress, its undo included."""
-        return self._testing
 
     async def wind_down(self) -> None:
-        """End the test in progress; returns when its fence is restored, or is known not to be."""
         if self._tester is not None:
             self._tester.cancel()
             await asyncio.wait({self._tester})
         await self.ended()
 
     async def ended(self) -> None:
-        """Wait until no test is being ended any more."""
         if self._endings:
             await asyncio.wait(set(self._endings))
 
     def on_text(self, text: str) -> None:
-        """A status text of this vehicle."""
-        if not self._testing:
-            self._watch.on_text(text)
         if fence_params.reports_breach(text):
             self._last_text = text
             if self._walk is not None:
@@ -146,7 +124,7 @@ class VehicleFence:
     ) -> FenceOutcome:
         """Set the arguments that are not None, and read all of the fence back. Refused while a flight was checked
         within a wider one, and unless ``force`` where the vehicle would be outside of it at once."""
-        if self._testing:
+        if self._watch.testing:
             return FenceOutcome(_UNDER_TEST)
         held = await self._held()
         if isinstance(held, Outcome):
@@ -196,9 +174,9 @@ class VehicleFence:
 
     async def test(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
         """The whole test. Ok if the vehicle reported the breach and, if armed, acted as its fence demands."""
-        if self._testing:
+        if self._watch.testing:
             return FenceOutcome(_UNDER_TEST)
-        self._testing, self._ended_with = True, None
+        self._watch.testing, self._ended_with = True, None
         # a task of its own, which the daemon's end can cancel without its caller
         work = self._tested(radius_m, action, timeout_s)
         self._tester = self._loop.create_task(work, name=f"{self._vehicle.name} fence test")
@@ -213,7 +191,7 @@ class VehicleFence:
             raise
         finally:
             self._tester = None
-            self._testing = bool(self._endings)
+            self._watch.testing = bool(self._endings)
 
     async def _tested(self, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
         vehicle = self._vehicle
@@ -368,7 +346,7 @@ class VehicleFence:
 
     def _ended(self, ending: asyncio.Task[Outcome]) -> None:
         self._endings.discard(ending)
-        self._testing = False
+        self._watch.testing = False
 
     # -- parameters and messages
 

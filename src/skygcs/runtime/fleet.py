@@ -6,7 +6,8 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
@@ -21,7 +22,7 @@ from skygcs.core.vehicle import orders, targets
 from skygcs.core.vehicle.decoding import Decoder
 from skygcs.core.vehicle.flight_evidence import MAYBE_FLYING_S, may_fly
 from skygcs.core.vehicle.flight_lock import Forgetting, LinkLoss
-from skygcs.core.vehicle.message_cache import StatusText
+from skygcs.core.vehicle.status_texts import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
 from skygcs.errors import TargetError
@@ -34,16 +35,13 @@ from skygcs.runtime.flight_locks import FlightLocks
 from skygcs.runtime.flight_notes import FlightJournal, FlightNotes
 from skygcs.runtime.home_orders import WorldFrame
 from skygcs.runtime.loop_clock import SleepWatch, Standstill, boot_clock
-from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.plan_place import PlanPlace
-from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
-from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import (
     MAX_VEHICLES,
@@ -81,6 +79,26 @@ class Expected(NamedTuple):
     when_lost: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Unheard:
+    """A vehicle of the fleet file from which nothing has come since the daemon started."""
+
+    config: VehicleConfig
+    compid: int = 1
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @property
+    def sysid(self) -> int:
+        return self.config.sysid
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        return self.config.groups
+
+
 class Fleet:
     """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid."""
 
@@ -116,14 +134,12 @@ class Fleet:
         # orders and what is kept of them on disk
         self.disk = DiskWriter(loop, on_event)
         self.journal = UndoJournal(own.log_dir / "undo")
-        self.undo = UndoOrders(self.journal, self.vehicles, loop.time, self.disk, on_event)
         self.monitor = SeparationMonitor(config.monitor, self.vehicles, loop, on_event)
         self.returns = Returns(self.monitor, self.vehicles, loop, on_event)
         param_cache = param_cache or ParamCache(None)
         param_cache.disk = self.disk
         self._services = self._new_services(param_cache, probes=probes)
-        self.turns = MissionTurns(loop, on_event)
-        self.orders = FleetOrders(self, self._services, self.monitor, self.returns, self.turns)
+        self.orders = FleetOrders(self, self._services, self.monitor, self.returns)
         self.sleep = SleepWatch(self._woke, loop)
         self._met_on: dict[int, str] = {}  # by key, the link on which a vehicle was first heard
         self._room_sought_at: dict[str, float] = {}  # by link, where there was none
@@ -225,7 +241,7 @@ class Fleet:
 
     async def ended(self, timeout_s: float) -> None:
         """After `close`: wait until the changes that could not be undone have been noted."""
-        tasks = {self._loop.create_task(actor.fence.ended()) for actor in self.vehicles.values()}
+        tasks = {self._loop.create_task(actor.ended()) for actor in self.vehicles.values()}
         if tasks:
             _, late = await asyncio.wait(tasks, timeout=timeout_s)
             for task in late:
@@ -239,7 +255,6 @@ class Fleet:
             self.notes.note_flights(self._loop.time())  # what was held at the end is not held again at the next begin
         self.components.close()
         self.monitor.close()
-        self.turns.close()
         self.returns.close()
         self.orders.close()
 
@@ -285,12 +300,12 @@ class Fleet:
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
-        return targets.select(expression, self.vehicles.values(), self._unheard())
+        return targets.select(expression, self.vehicles.values(), self.unheard())
 
     def resolve_any(self, expression: str | int | Sequence[str | int]) -> list[Actor]:
         """`resolve` with components: "7/191" and "alpha/191" may also name components. Raises TargetError."""
         vehicles: list[Actor] = [*self.vehicles.values()]
-        return targets.select_any(expression, vehicles, [*self.components.all()], self._unheard())
+        return targets.select_any(expression, vehicles, [*self.components.all()], self.unheard())
 
     def sources(self, expression: str | int | Sequence[str | int]) -> set[int]:
         """The sources (sysid << 8 | compid) of a target expression; a vehicle's name or system id gives component 0,
@@ -435,26 +450,9 @@ class Fleet:
         text = refusal or f"{name or f'system {sysid}'} may be commanded from here"
         self._on_event(Event("authority", name, sysid, text, {"held": refusal is None}))
 
-    async def preflight(
-        self,
-        expression: str | int | Sequence[str | int],
-        *,
-        fix: bool = False,
-        confirmed: Mapping[str, Mapping[str, float]] | None = None,
-    ) -> dict[str, Any]:
-        """See `examine_all`; includes the vehicles of the fleet file that are not heard. Raises TargetError."""
-        everything: list[VehicleActor | Unheard] = [*self.vehicles.values(), *self._unheard()]
-        found = targets.select(expression, everything)
-        vehicles = {v.name: v if isinstance(v, Unheard) else v.preflight for v in found}
-        return await examine_all(vehicles, fix=fix, confirmed=confirmed)
-
-    def _unheard(self) -> Iterator[Unheard]:
+    def unheard(self) -> list[Unheard]:
         """The vehicles of the fleet file that are not heard."""
-        return (Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid))
-
-    def preflight_status(self, expression: str | int | Sequence[str | int]) -> dict[str, Any]:
-        """See `Preflight.status`. Raises TargetError."""
-        return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
+        return [Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid)]
 
     def everybody(self) -> list[VehicleActor]:
         """All vehicles that the fleet knows."""
@@ -557,7 +555,6 @@ class Fleet:
         data = {"slept_s" if pause.slept else "stood_still_s": round(pause.seconds, 1)}
         self._on_event(Event("warning", None, None, text, data))
         # what would go on ordering beyond the actors
-        self._contained(self.turns.end, pause.text)
         self._contained(self.returns.end, pause.text)
         notes = self.notes.of_flights(now, time.time() - now - pause.missed_s)
         self._contained(self.orders.close, pause.text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -16,7 +16,7 @@ from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import copter_mode
-from skygcs.core.vehicle.formation import Arrangement, arranging, moved, offsets_en_m, too_close
+from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
 from skygcs.core.vehicle.gate import HARMLESS_COMMANDS
 from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.core.vehicle.order_plan import Plan
@@ -24,22 +24,26 @@ from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime import home_orders, onboard_orders
+from skygcs.runtime import home_orders
 from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
-from skygcs.runtime.fence_orders import FenceOutcome
-from skygcs.runtime.mission_turns import MissionTurns
 from skygcs.runtime.return_members import read_return_height
 from skygcs.runtime.returns import Returns, Waiting
 from skygcs.runtime.separation_monitor import Destination, SeparationMonitor
-from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask, in_turns
+from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
 """An order is the method of VehicleActor that carries it out, `VehicleActor.arm`, or a function of
-`runtime.onboard_orders` or `runtime.home_orders`. It returns an Outcome; orders of the fence return a FenceOutcome,
-those of the onboard logs a LogsOutcome."""
+`runtime.home_orders` or of an extension. It returns an Outcome, or what the ``shaped`` of `command_all` makes
+of one."""
+
+Own = dict[VehicleActor, dict[str, Any]]
+"""Arguments that a vehicle gets of its own."""
+
+Each = Callable[[Sequence[VehicleActor]], Coroutine[Any, Any, tuple[Own, dict[VehicleActor, str]]]]
+"""Decides the arguments of each vehicle, and why some do not get the order."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
     VehicleActor.command: ComponentActor.command,
@@ -61,9 +65,6 @@ CARRIED_ON = frozenset[Order](
     {VehicleActor.land, VehicleActor.rtl, VehicleActor.hold, VehicleActor.stop, VehicleActor.disarm}
 )
 """Orders that end a flight are carried on to their outcome, even if the client that gave them disconnects meanwhile."""
-
-NEVER_LATE = frozenset[Order]({VehicleActor.stop, onboard_orders.upload_plan})
-"""Orders that a newer one does not make void while they wait: the stop has the last word, an upload moves nothing."""
 
 MODE_ORDERS: Mapping[str, Order] = {
     "AUTO.LAND": VehicleActor.land,
@@ -130,6 +131,9 @@ class Given:
     serial: int
     reports: Reports
     by_person: bool
+    shaped: Callable[[Outcome], Any]
+    each: Each | None
+    moves: bool
     outcomes: dict[str, Any] = field(default_factory=dict)
     ended_by: str = "the client that gave it is gone"
     """Why it ends, if it is cancelled."""
@@ -168,11 +172,12 @@ class FleetOrders:
         services: VehicleServices,
         monitor: SeparationMonitor,
         returns: Returns,
-        turns: MissionTurns,
     ) -> None:
         self.ends_only = False
         self._targets = targets
-        self._links, self._monitor, self._returning, self._turns = services.links, monitor, returns, turns
+        self._links, self._monitor, self._returning = services.links, monitor, returns
+        self.on_ending: list[Callable[[Collection[object], str], None]] = []
+        """Called with the vehicles and the name of each order that ends a flight, before it is given."""
         self._dialect, self._send = services.dialect, services.send
         self._loop, self._on_event = services.loop, services.on_event
         self._kept = TaskSet(services.loop, services.on_event)
@@ -198,6 +203,9 @@ class FleetOrders:
         *args: Any,
         reports: Reports | None = None,
         by_person: bool = True,
+        shaped: Callable[[Outcome], Any] = lambda outcome: outcome,
+        each: Each | None = None,
+        moves: bool = True,
         **arguments: Any,
     ) -> dict[str, Outcome]:
         """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
@@ -207,7 +215,9 @@ class FleetOrders:
         cancelled, the orders of `CARRIED_ON` go on, all others end; `close` ends those with an answer. Raises
         RefusedError for a stop, or a disarming of a duplicate system id, without the confirmation it needs
         (``confirm``, see `core.vehicle.orders`). ``reports`` gets each vehicle's outcome when it comes. ``by_person``:
-        False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends.
+        False for an order of the daemon's own, which a pilot who takes the vehicle meanwhile ends. ``shaped``: makes of
+        an Outcome what the order returns, where the order itself is not reached. ``each``: decides what each vehicle
+        gets. ``moves``: False for an order that moves no vehicle.
         """
         name = order.__name__
         if self.ends_only and order not in CARRIED_ON:
@@ -221,9 +231,10 @@ class FleetOrders:
             twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
             orders.require_confirmed(action, twice, arguments.pop("confirm", None))
         if order in CARRIED_ON:
-            self._turns.taken(actors, name)
+            for taken in self.on_ending:
+                taken(actors, name)
         # the serial is made here, as what is carried on begins a turn of the loop later
-        given = Given(order, ask(), reports or Unreported(), by_person)
+        given = Given(order, ask(), reports or Unreported(), by_person, shaped, each, moves)
         if order not in CARRIED_ON or len(self._kept) >= MAX_KEPT:
             return await self._give(actors, given, args, arguments)
         work = self._carry_on(actors, given, args, arguments, self._generation)
@@ -264,7 +275,7 @@ class FleetOrders:
         """Report an order that ended before it was sent to any vehicle."""
         for vehicle in (actor for actor in actors if isinstance(actor, VehicleActor)):
             outcome = vehicle.outcomes.finish(given.order.__name__, given.cancelled())
-            given.ended(vehicle.name, _shaped(given.order, outcome))
+            given.ended(vehicle.name, given.shaped(outcome))
 
     async def push_origin(
         self,
@@ -309,15 +320,17 @@ class FleetOrders:
                 refusals[actor] = why
         # what each vehicle is to do: places of its own, or why it stays
         going = [actor for actor in vehicles if order is VehicleActor.goto and actor not in refusals]
-        own_arguments, staying, sent = self._going(going, arguments) if going else ({}, {}, {})
-        if order is onboard_orders.upload_plan:
-            own_arguments, staying = await self._arranged(vehicles, arguments)
+        own_arguments, staying, sent = Own(), dict[VehicleActor, str](), dict[VehicleActor, Destination]()
+        if going:
+            own_arguments, staying, sent = self._going(going, arguments)
+        elif given.each is not None:
+            own_arguments, staying = await given.each(vehicles)
         refusals.update(staying.items())
         # the order of returns, other missions, a newer order meanwhile
         returning = await self._returns(given, vehicles, refusals, arguments) if order is VehicleActor.rtl else {}
         free = [actor for actor in vehicles if actor not in refusals]
         refusals.update((await self._mission_refusals(free, order, arguments)).items())
-        refusals.update(self._late(order, {actor: asked[actor] for actor in free}).items())
+        refusals.update(self._late(given, {actor: asked[actor] for actor in free}).items())
         for actor in vehicles if order is VehicleActor.takeoff else ():
             height_m = arguments.get("height_m")
             height_m = actor.config.takeoff_height_m if height_m is None else height_m
@@ -343,7 +356,7 @@ class FleetOrders:
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
             for actor, reason in refusals.items():
-                given.ended(actor.name, _shaped(order, actor.refuse(order.__name__, reason)))
+                given.ended(actor.name, given.shaped(actor.refuse(order.__name__, reason)))
                 self._arrives(decided, actor)
             # one frame to all where the order may be broadcast, then one task per vehicle for its answer
             broadcast = None if waits else self._broadcast_command(vehicles, order)
@@ -390,12 +403,12 @@ class FleetOrders:
         order = given.order
         ORDER_SERIAL.set(given.serial)
         ASKED_NOW.set(given.by_person)
-        late = self._late(order, {actor: Asked(given.serial)}) if isinstance(actor, VehicleActor) else {}
+        late = self._late(given, {actor: Asked(given.serial)}) if isinstance(actor, VehicleActor) else {}
         method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
         outcome: Outcome
         try:
             if late:
-                outcome = _shaped(order, actor.refuse(order.__name__, *late.values()))
+                outcome = given.shaped(actor.refuse(order.__name__, *late.values()))
             elif returns is not None:
                 outcome = await self._returning.carry_out(returns)
             else:
@@ -403,7 +416,7 @@ class FleetOrders:
         except Exception as error:
             why = f"failed inside skygcs: {error!r}"
             self._on_event(Event("fault", actor.name, actor.sysid, f"{order.__name__} {why}", {}))
-            outcome = _shaped(order, Outcome(False, "failed", why))
+            outcome = given.shaped(Outcome(False, "failed", why))
         given.ended(actor.name, outcome)
         return outcome
 
@@ -431,36 +444,14 @@ class FleetOrders:
         if blind := [actor.name for actor in flying if actor.missions.items is None]:
             text = f"the mission that {blind[0]} flies could not be read: {UNKNOWN_WAY}"
             return dict.fromkeys(starting, text)
-        known = await self._with_return_heights(
+        known = await self.with_return_heights(
             {a: MissionRun(items, starting[a]) for a, items in zip(starting, read, strict=False) if items is not None}
         )
         text = f"its mission could not be read: {UNKNOWN_WAY}"
         unread = {actor: text for actor in starting if actor not in known}
         return {**unread, **await self._monitor.mission_refusals(known)}
 
-    async def _arranged(
-        self, actors: Sequence[VehicleActor], arguments: dict[str, Any]
-    ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str]]:
-        """Split the upload of one mission that each vehicle gets in a form of its own (``arrangement``): the plan of
-        each, and why some do not get it: two of these missions come too near each other, unless ``force``."""
-        arrangement: Arrangement | None = arguments.pop("arrangement", None)
-        if arrangement is None:
-            return {}, {}
-        now = self._loop.time()
-        found = [orders.fresh_position(actor.vehicle, now) for actor in actors]
-        places = [None if place is None else place[:2] for place in found]
-        try:
-            footprints = [self._monitor.footprint(a) for a in actors]
-            plans = await in_turns(arranging(arguments["plan"], arrangement, places, footprints))
-        except ValueError as error:
-            return {}, dict.fromkeys(actors, str(error))
-        own = {actor: {"plan": plan} for actor, plan in zip(actors, plans, strict=True)}
-        if arguments.get("force"):
-            return own, {}
-        runs = {actor: MissionRun(plan.mission) for actor, plan in zip(actors, plans, strict=True)}
-        return own, await self._monitor.mission_overlaps(await self._with_return_heights(runs))
-
-    async def _with_return_heights(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, MissionRun]:
+    async def with_return_heights(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, MissionRun]:
         """These runs with the heights of their returns, which are read; without an answer any height is possible."""
         if self._monitor.mode == "off":
             return dict(runs)
@@ -505,10 +496,13 @@ class FleetOrders:
         ends = await asyncio.gather(*(ended(actor) for actor in waiting))
         return _overtaken(asked) | {a: why for a, why in zip(waiting, ends, strict=True) if why is not None}
 
-    def _late(self, order: Order, asked: Mapping[VehicleActor, Asked]) -> dict[VehicleActor, str]:
+    def _late(self, given: Given, asked: Mapping[VehicleActor, Asked]) -> dict[VehicleActor, str]:
         """Those that were ordered something else while this order waited, and why it does not go to them. What ends a
-        flight goes out although the mode has changed: a failsafe of the vehicle's own may have changed it."""
-        return {} if order in NEVER_LATE else _overtaken(asked, by_mode=order not in CARRIED_ON)
+        flight goes out although the mode has changed: a failsafe of the vehicle's own may have changed it. A newer
+        order does not make void what moves nothing, nor the stop, which has the last word."""
+        if not given.moves or given.order is VehicleActor.stop:
+            return {}
+        return _overtaken(asked, by_mode=given.order not in CARRIED_ON)
 
     def _going(
         self, actors: list[VehicleActor], arguments: dict[str, Any]
@@ -616,17 +610,6 @@ def _overtaken(asked: Mapping[VehicleActor, Asked], *, by_mode: bool = True) -> 
     """Vehicles for which the order comes too late, and why; see `OrderPrecedence.overtaken`."""
     late = {actor: actor.runner.precedence.overtaken(at, by_mode=by_mode) for actor, at in asked.items()}
     return {actor: why for actor, why in late.items() if why is not None}
-
-
-def _shaped(order: Order, outcome: Outcome) -> Any:
-    """An outcome that the order itself did not make, with the keys of those that it makes."""
-    if order in (onboard_orders.set_fence, onboard_orders.read_fence, onboard_orders.test_fence):
-        return FenceOutcome(outcome)
-    if order in (onboard_orders.list_logs, onboard_orders.get_logs):
-        from skygcs.runtime.onboard_logs import LogsOutcome  # rpc.missions has imported it
-
-        return LogsOutcome.without_logs(outcome)
-    return outcome
 
 
 def _outcome(task: asyncio.Task[Outcome] | None) -> Outcome:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from skygcs.core.mavlink.frame import SIGNATURE_BYTES, Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.radio_link.capacity import (
     FRAME_BYTES,
     HALF_DUPLEX_SHARE,
@@ -18,7 +17,7 @@ from skygcs.core.radio_link.capacity import (
     setpoint_bytes_per_s,
 )
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.source_statistics import LossWindow
+from skygcs.core.routing.source_statistics import LinkFacts, LossWindow
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel
 from skygcs.runtime.hub import Hub

@@ -1,13 +1,12 @@
-"""Orders about what a vehicle keeps on board: its mission, fence and rally lists, its fence, and its logs.
+"""Orders about what a vehicle keeps on board: its mission, fence and rally lists.
 
 Each is a function of the vehicle's actor, to be given with `FleetOrders.command_all` as the methods of `VehicleActor`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Coroutine, Sequence
+from collections.abc import Callable, Collection
 from functools import partial
-from typing import TYPE_CHECKING
 
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
@@ -15,12 +14,7 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders
 from skygcs.core.vehicle.flight_lock import FenceListWrite, RallyWrite
 from skygcs.core.vehicle.order_plan import Plan
-from skygcs.runtime.fence_orders import FenceOutcome
-from skygcs.runtime.order_runner import duplicate_refusal
 from skygcs.runtime.vehicle_actor import VehicleActor
-
-if TYPE_CHECKING:  # only some vehicles have them
-    from skygcs.runtime.onboard_logs import LogsOutcome
 
 # -- lists
 
@@ -99,54 +93,3 @@ def _new_run(
         return plan
 
     return begins
-
-
-# -- the fence
-
-
-async def set_fence(
-    actor: VehicleActor,
-    *,
-    radius_m: float | None = None,
-    height_m: float | None = None,
-    action: str | None = None,
-    force: bool = False,
-) -> FenceOutcome:
-    """See `VehicleFence.set`."""
-    work = lambda: actor.fence.set(radius_m=radius_m, height_m=height_m, action=action, force=force)  # noqa: E731
-    return await _report_fence(actor, "fence", work)
-
-
-async def read_fence(actor: VehicleActor) -> FenceOutcome:
-    """See `VehicleFence.status`."""
-    return await actor.fence.status()
-
-
-async def test_fence(actor: VehicleActor, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
-    """See `VehicleFence.test`."""
-    work = lambda: actor.fence.test(radius_m=radius_m, action=action, timeout_s=timeout_s)  # noqa: E731
-    return await _report_fence(actor, "fence test", work)
-
-
-async def _report_fence(
-    actor: VehicleActor, order: str, work: Callable[[], Coroutine[None, None, FenceOutcome]]
-) -> FenceOutcome:
-    """Report its outcome like that of any order; a cancelled test reports itself."""
-    if actor.vehicle.duplicate:
-        return FenceOutcome(actor.outcomes.finish(order, duplicate_refusal(actor.vehicle)))
-    outcome = await work()
-    actor.outcomes.finish(order, outcome.outcome)
-    return outcome
-
-
-# -- logs
-
-
-async def list_logs(actor: VehicleActor) -> LogsOutcome:
-    """See `VehicleLogs.list`."""
-    return await actor.logs.list()
-
-
-async def get_logs(actor: VehicleActor, *, logs: Sequence[int] | str, force: bool = False) -> LogsOutcome:
-    """See `VehicleLogs.get`."""
-    return await actor.logs.get(logs, force=force)

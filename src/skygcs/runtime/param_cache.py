@@ -20,7 +20,6 @@ from typing import Any
 from skygcs.config.files import open_regular, read_state, write_whole
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, encoding_of, is_name
-from skygcs.core.params.metadata import MAX_TABLE_BYTES
 from skygcs.core.protocols.parameter_list import MAX_COUNT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import DiskWriter
@@ -33,6 +32,9 @@ MAX_FILES = 256
 
 MAX_TABLES = 16
 """Tables of parameter metadata: one per firmware build in the fleet."""
+
+MAX_TABLE_BYTES = 4_000_000
+"""A table of metadata is not larger: ArduPilot's, of all vehicles, has a tenth of it."""
 
 MAX_FILE_BYTES = 2_000_000
 """Largest file that is read: ten times the largest known."""

@@ -10,17 +10,15 @@ from __future__ import annotations
 
 import asyncio
 import zlib
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic_core import from_json
 
 import skygcs.core.params
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.params.metadata import (
-    MAX_TABLE_BYTES,
     MetadataTable,
     ParamMetadata,
     ftp_path,
@@ -29,10 +27,10 @@ from skygcs.core.params.metadata import (
     table,
 )
 from skygcs.core.params.names import other_name
-from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.orders import FORCE_HINT
-from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.param_transfers import VehicleParams
+from skygcs.runtime.param_cache import MAX_TABLE_BYTES
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import VehiclePart
 
 MESSAGE = "COMPONENT_METADATA"
 
@@ -56,16 +54,14 @@ class NoMetadataError(Exception):
     """Why a vehicle's own file is not used, in a sentence without a subject."""
 
 
-class VehicleMetadata:
-    """See the module. ``request`` requests one message of the vehicle."""
+class VehicleMetadata(VehiclePart):
+    """See the module."""
 
-    def __init__(
-        self, vehicle: Vehicle, dialect: Dialect, params: VehicleParams, request: Callable[[str], Awaitable[Outcome]]
-    ) -> None:
-        self._vehicle = vehicle
-        self._dialect = dialect
-        self._params = params
-        self._request = request
+    def __init__(self, actor: VehicleActor) -> None:
+        self._vehicle = actor.vehicle
+        self._dialect = actor.services.dialect
+        self._params = actor.params
+        self._request = actor.request
         self._crc: int | None = None
         """CRC of the vehicle's own file, once that was read; None: the shipped table counts."""
         self._uncached = b""
@@ -73,8 +69,8 @@ class VehicleMetadata:
         self._why_not = UNREAD
         self._reading = asyncio.Lock()
 
-    def forget(self) -> None:
-        """The vehicle has rebooted: it may have another firmware."""
+    def on_reboot(self) -> None:
+        """It may have another firmware."""
         self._crc = None
         self._uncached = b""
         self._why_not = UNREAD

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,18 +31,18 @@ from skygcs.core.preflight.report import (
 )
 from skygcs.core.preflight.settings import return_height
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
-from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.separation import Footprint, pair_margin
+from skygcs.core.vehicle import targets
 from skygcs.core.vehicle.flight_evidence import why_not_idle
-from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.origin import off_m
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.vehicle_model import sticks_of
+from skygcs.runtime.fleet import Fleet, Unheard
 from skygcs.runtime.param_metadata import VehicleMetadata
-from skygcs.runtime.param_transfers import VehicleParams
-from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import VehiclePart
 from skygcs.spelling import rounded
 
 AT_ONCE = 8
@@ -59,7 +59,6 @@ SETTLE_S = 3.0
 """Time until the vehicle's telemetry reflects a set parameter: it evaluates its arming checks once a second, and
 SYS_STATUS comes every two seconds."""
 
-Request = Callable[[str], Awaitable[Outcome]]
 Confirmed = Mapping[str, float] | None
 
 
@@ -74,37 +73,25 @@ class Examined:
     return_height: ReturnSetting | None = None
 
 
-class Preflight:
-    """``request`` requests one message of the vehicle. ``configured``: True if the fleet file names it; None: the file
-    names no vehicle."""
+class Preflight(VehiclePart):
+    """Findings about one vehicle since it started, and whether it may be armed."""
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        config: VehicleConfig,
-        params: VehicleParams,
-        metadata: VehicleMetadata,
-        services: VehicleServices,
-        request: Request,
-        *,
-        configured: bool | None,
-        wall_clock: Callable[[], float] = time.time,
-    ) -> None:
-        self.required = config.require_preflight
+    def __init__(self, actor: VehicleActor) -> None:
+        services = actor.services
+        actor.preflight_refusal = self.refusal
         self.last: Examined | None = None
         """The last report since the vehicle started; a reboot clears it."""
         # collaborators
-        self.vehicle = vehicle
-        self._config = config
-        self._params = params
-        self._metadata = metadata
+        self.vehicle = actor.vehicle
+        self._actor = actor
+        self._config = actor.config
+        self._params = actor.params
+        self._metadata = actor.part(VehicleMetadata)
         self._services = services
         self._dialect = services.dialect
-        self._request = request
         self._loop = services.loop
-        self._configured = configured
         self._valid_s = services.preflight_valid_s
-        self.wall_clock = wall_clock
+        self.wall_clock: Callable[[], float] = time.time
         """The time of day in Unix seconds, with which the vehicle's clock is compared."""
         self._pose_problem: Callable[[float], str | None] | None = None
         # runs, and parameters that the vehicle does not have
@@ -113,7 +100,7 @@ class Preflight:
         self._absent: set[str] = set()
         """Names of parameters that it does not have, except required ones, which may appear after a change of
         settings."""
-        self._expectations = _expectations(config)
+        self._expectations = _expectations(self._config)
 
     @property
     def footprint(self) -> Footprint:
@@ -143,23 +130,19 @@ class Preflight:
             await asyncio.sleep(SETTLE_S)
             return await self._examine(fixed, "")
 
-    def forget(self) -> None:
-        """The vehicle has rebooted: the findings are void."""
+    def on_reboot(self) -> None:
+        """The findings are void."""
         self._lives += 1
         self._absent.clear()
         self.last = None
 
-    def refusal(self, *, force: bool = False) -> str | None:
-        """Why it must not be armed now; None if it may. No request is sent."""
-        if force or not self.required or self.vehicle.armed:
-            return None
-        state, name = self.state(), self.vehicle.name
+    def refusal(self) -> str | None:
+        """Why it must not be armed, if it has to have passed; None if it may. No request is sent."""
+        state, how = self.state(), self._actor.preflight_hint
         if state == "passed":
             return None
-        how = f"run skygcs-cli preflight {name}, or {FORCE_HINT}"
-        if state == "never":
-            return f"it has not passed preflight since it started; {how}"
-        assert self.last is not None
+        if self.last is None:
+            return self._actor.never_passed()
         if state == "expired":
             ago_min, limit_min = (self._loop.time() - self.last.at) / 60, self._valid_s / 60
             return f"its preflight was passed {ago_min:.0f} min ago (valid for {limit_min:g} min); {how}"
@@ -179,10 +162,10 @@ class Preflight:
         age_s = None if last is None else self._loop.time() - last.at
         return {
             "state": self.state(),
-            "required": self.required,
+            "required": self._config.require_preflight,
             "age_s": None if age_s is None else round(age_s, 1),
             "valid_s": None if age_s is None or self.state() != "passed" else round(self._valid_s - age_s, 1),
-            "refusal": self.refusal(),
+            "refusal": self._actor.arming_refusal(force=False),
             "report": None if last is None else result(last, self.vehicle),
         }
 
@@ -209,7 +192,7 @@ class Preflight:
         return PreflightFacts(
             state=dict(take_snapshot(self.vehicle, self._loop.time(), self.wall_clock())),
             gcs_sysid=None if self._services.own[0] == self.vehicle.sysid else self._services.own[0],
-            configured=self._configured,
+            configured=self._actor.configured,
             expected_autopilot=self._config.autopilot,
             links=self._services.links.facts(self.vehicle.key, self._loop.time()),
             answers=answers,
@@ -256,7 +239,7 @@ class Preflight:
                 if self._unneeded(message):
                     continue
                 for _ in range(REQUESTS):
-                    if (await self._request(message)).result != "timeout":
+                    if (await self._actor.request(message)).result != "timeout":
                         break
 
     def _unneeded(self, message: str) -> bool:
@@ -271,31 +254,18 @@ class Preflight:
         return False
 
 
-@dataclass(frozen=True, slots=True)
-class Unheard:
-    """A vehicle of the fleet file from which nothing has come since the daemon started."""
-
-    config: VehicleConfig
-    compid: int = 1
-
-    @property
-    def name(self) -> str:
-        return self.config.name
-
-    @property
-    def sysid(self) -> int:
-        return self.config.sysid
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        return self.config.groups
-
-    def result(self) -> dict[str, Any]:
-        text = "it is in the fleet file and has not been heard"
-        todo = "switch it on; check its radio and the link; or remove it from the file"
-        finding = failed(text, todo).named("link", Severity.FAULT)
-        report = PreflightReport((finding,))
-        return {"sysid": self.sysid, "autopilot": "", "in_air": None, **report.as_dict(), "fixed": {}, "unfixed": ""}
+async def examine_fleet(
+    fleet: Fleet,
+    expression: str | int | Sequence[str | int],
+    *,
+    fix: bool = False,
+    confirmed: Mapping[str, Mapping[str, float]] | None = None,
+) -> dict[str, Any]:
+    """See `examine_all`; with the vehicles of the fleet file that are not heard. Raises TargetError."""
+    everything: list[VehicleActor | Unheard] = [*fleet.vehicles.values(), *fleet.unheard()]
+    found = targets.select(expression, everything)
+    vehicles = {v.name: v if isinstance(v, Unheard) else v.part(Preflight) for v in found}
+    return await examine_all(vehicles, fix=fix, confirmed=confirmed)
 
 
 async def examine_all(
@@ -309,7 +279,7 @@ async def examine_all(
 
     async def one(name: str, vehicle: Preflight | Unheard) -> dict[str, Any]:
         if isinstance(vehicle, Unheard):
-            return vehicle.result()
+            return _unheard_result(vehicle)
         agreed = None if confirmed is None else confirmed.get(name, {})
         async with slots:
             return result(await vehicle.run(fix=fix, confirmed=agreed), vehicle.vehicle)
@@ -342,6 +312,14 @@ def _return_together(vehicles: Mapping[str, Preflight | Unheard]) -> dict[str, F
         text += f"{param} {wanted_m * per_metre:g} ({wanted_m:g} m)"
         found[name] = passed(text).named("return heights", Severity.NOTE)
     return found
+
+
+def _unheard_result(vehicle: Unheard) -> dict[str, Any]:
+    text = "it is in the fleet file and has not been heard"
+    todo = "switch it on; check its radio and the link; or remove it from the file"
+    finding = failed(text, todo).named("link", Severity.FAULT)
+    report = PreflightReport((finding,))
+    return {"sysid": vehicle.sysid, "autopilot": "", "in_air": None, **report.as_dict(), "fixed": {}, "unfixed": ""}
 
 
 def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:

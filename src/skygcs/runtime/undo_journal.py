@@ -11,7 +11,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 
 from skygcs.config.files import read_state, write_whole
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 
 FORMAT = 1
 
@@ -68,6 +69,15 @@ class UndoJournal:
         """Number of entries that wait for their undo; from the last `left`, `begin`, `undone` or `drop`."""
         self.problems: list[str] = []
         """Files of the folder that cannot be read, or the folder, and why; from the last `left`."""
+
+    def reports(self) -> Iterator[Event]:
+        """One event for each change that was left, and one for files that cannot be read."""
+        for change in self.left():
+            text = f"{change}; skygcs-cli undo run {change.id} restores it, undo drop removes the entry"
+            yield Event("undo", change.vehicle, change.sysid, text, {"id": change.id, "state": "left"})
+        if self.problems:
+            text = f"{self._folder}: {'; '.join(self.problems[:5])}; these are not undone"
+            yield Event("undo", None, None, text, {"state": "unreadable"})
 
     @property
     def folder(self) -> Path:

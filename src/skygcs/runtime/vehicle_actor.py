@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, TypeVar, Unpack, cast
 
 from skygcs.config.control import GROUND
 from skygcs.config.models import VehicleConfig
@@ -22,13 +22,13 @@ from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, LOG_DATA, LOG_ENTRY, TIMESYNC
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle.autopilot import Destination
-from skygcs.core.vehicle.calibration import Sensor
 from skygcs.core.vehicle.component import describe
-from skygcs.core.vehicle.flight_lock import RateChange, SensorCalibration
+from skygcs.core.vehicle.fence_params import FenceWatch
+from skygcs.core.vehicle.flight_lock import RateChange
 from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
@@ -44,27 +44,21 @@ from skygcs.core.vehicle.vehicle_model import Sticks, model_of
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
-from skygcs.runtime.calibration_run import MESSAGES as CALIBRATION_MESSAGES
-from skygcs.runtime.calibration_run import CalibrationRun
 from skygcs.runtime.command_client import CommandClient, StateEvidence
-from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.flight_elsewhere import FlightElsewhere
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.order_precedence import StreamGate
 from skygcs.runtime.order_runner import OrderOutcomes, OrderRunner
-from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import VehicleParams
-from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester, UplinkProbes
 from skygcs.runtime.takeoffs import Takeoffs
 from skygcs.runtime.task_set import numbered
 from skygcs.runtime.unattended_holds import UnattendedHolds
-from skygcs.runtime.vehicle_services import SetpointProgram, VehicleLinks, VehicleServices
+from skygcs.runtime.vehicle_services import SetpointProgram, VehicleLinks, VehiclePart, VehicleServices
 
-if TYPE_CHECKING:  # only some vehicles have them
-    from skygcs.runtime.onboard_logs import VehicleLogs
+P = TypeVar("P", bound=VehiclePart)
 
 SHUTDOWN = "skygcs is shutting down"
 
@@ -76,8 +70,8 @@ class VehicleActor:
     ones are in `runtime.onboard_orders` and `runtime.home_orders`.
 
     Its parts are reached directly: ``commands``, ``runner`` (of orders), ``offboard`` (flight by setpoints),
-    ``params``, ``metadata`` (of parameters), ``missions``, ``logs`` (those it has on board), ``fence``, ``preflight``,
-    ``streams`` (the rates of its messages), ``calibration``, ``uplink``.
+    ``params``, ``missions``, ``fence_watch``, ``streams`` (the rates of its messages), ``uplink``.
+    `part` has those of extensions.
     """
 
     def __init__(
@@ -93,6 +87,9 @@ class VehicleActor:
         `UnattendedWatch`."""
         self.vehicle = vehicle
         self.config = config
+        self.configured = configured
+        self.preflight_refusal = self.never_passed
+        """Returns why its last preflight does not permit arming; None: it does."""
         self.channel = ""
         """Label of the channel that carried its last heartbeat."""
         self._closed = ""
@@ -123,18 +120,14 @@ class VehicleActor:
         self.takeoffs = Takeoffs(vehicle, after_takeoff, self.runner, self._engage, services.loop, services.on_event)
         # MAVLink protocols, and what is built on them
         self.params = VehicleParams(vehicle, services)
-        self.metadata = VehicleMetadata(vehicle, services.dialect, self.params, self._request)
         self.missions = Missions(
             vehicle, self.commands, services.dialect, services.loop, self.outcomes.report_progress, services.on_event
         )
-        self._logs: VehicleLogs | None = None
-        self.fence = VehicleFence(vehicle, self.params, services, self._request)
-        self.preflight = Preflight(
-            vehicle, config, self.params, self.metadata, services, self._request, configured=configured
-        )
-        self.calibration = CalibrationRun(vehicle, self.commands, services.dialect, services.loop, services.on_event)
+        self.fence_watch = FenceWatch()
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = UplinkProbes(self.uplink, vehicle, self.commands, services)
+        self._parts: dict[Callable[[VehicleActor], VehiclePart], VehiclePart] = {}
+        """Those of extensions, by their classes."""
         self._read = self._readers()
         """Messages of which every frame is read, with their readers."""
 
@@ -159,9 +152,7 @@ class VehicleActor:
             COMMAND_ACK: self._on_ack,
             TIMESYNC: self._on_timesync,
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
-            **dict.fromkeys(CALIBRATION_MESSAGES, self.calibration.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
-            **dict.fromkeys((LOG_ENTRY, LOG_DATA), self._on_log_frame),
         }
 
     def _order_refusal(self, plan: Plan) -> str | None:
@@ -209,14 +200,18 @@ class VehicleActor:
         """True once nothing goes to the vehicle by this actor any more: it was forgotten, or the daemon ends."""
         return bool(self._closed)
 
-    @property
-    def logs(self) -> VehicleLogs:
-        """The logs it has on board; made when somebody asks for them."""
-        if self._logs is None:
-            from skygcs.runtime.onboard_logs import VehicleLogs  # rpc.missions has imported it
+    def part(self, kind: Callable[[VehicleActor], P]) -> P:
+        """Return what an extension keeps for this vehicle: the one of this class, made when it is first asked for."""
+        part = self._parts.get(kind)
+        if part is None:
+            part = self._parts[kind] = kind(self)
+            self._read.update(dict.fromkeys(part.messages, part.on_frame))
+            self.services.links.forget_flows()  # it wants each frame of these
+        return cast(P, part)
 
-            self._logs = VehicleLogs(self.vehicle, self.services)
-        return self._logs
+    def part_made(self, kind: Callable[[VehicleActor], P]) -> P | None:
+        """The part of this class; None: nobody has asked for it."""
+        return cast("P | None", self._parts.get(kind))
 
     def _new_runner(self, services: VehicleServices) -> OrderRunner:
         dialect, loop, began_ms = services.dialect, services.loop, time.time_ns() // 1_000_000
@@ -240,8 +235,6 @@ class VehicleActor:
             self.offboard.controller.state is not OffboardState.OFF or not isinstance(self.offboard, OffboardEngagement)
         ):
             state["control"] = self.control_state(now)
-        if "calibration" in state:
-            state["calibration"] = self.calibration.status()
         if "messages" in state:
             self.streams.add_to(state)
         if "uplink" in state and (uplink := self._probes.state(now)) is not None:
@@ -318,7 +311,8 @@ class VehicleActor:
         if events:
             self._publish(events, now)
         self.streams.tick(now)
-        self.calibration.tick(now)
+        for part in self._parts.values():
+            part.tick(now)
         if not isinstance(self.offboard, OffboardEngagement):
             self.offboard.watch(now)
         elif self.offboard.controller.active:
@@ -326,7 +320,8 @@ class VehicleActor:
         if self.vehicle.replayed:
             return
         self.unattended.tick(now, self.authority_refusal())
-        self.fence.tick(now)
+        if (event := self.fence_watch.look(self.vehicle, now)) is not None:
+            self.services.on_event(event)
         self._probes.tick(now)
 
     def set_duplicate(self, where: str | None) -> None:
@@ -366,11 +361,9 @@ class VehicleActor:
             self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
         self.params.stop_list()
-        self._stop_logs("cancelled", SHUTDOWN)
         self.runner.wind_down()
-        await asyncio.gather(
-            self.fence.wind_down(), self.calibration.wind_down(), self.runner.settled(), self.offboard.settled()
-        )
+        parts = [part.wind_down() for part in self._parts.values()]
+        await asyncio.gather(*parts, self.runner.settled(), self.offboard.settled())
 
     def close(self, reason: str = SHUTDOWN) -> None:
         """End what is under way, for this reason. Nothing begins again, and the vehicle counts as lost from now on: an
@@ -380,11 +373,15 @@ class VehicleActor:
         self.unattended.close()
         self.offboard.close(reason)
         self.missions.close(reason)
-        self._stop_logs("cancelled", reason)
         self.params.close(reason)
-        self.calibration.close()
+        for part in self._parts.values():
+            part.close(reason)
         self.commands.close(reason)
         self.vehicle.disconnect()  # nobody ticks it any more
+
+    async def ended(self) -> None:
+        """After `close`: wait for the end of what the parts of extensions still note."""
+        await asyncio.gather(*(part.ended() for part in self._parts.values()))
 
     # -- orders
 
@@ -413,7 +410,7 @@ class VehicleActor:
         model = model_of(self.vehicle, self._loop.time())
         if model.may_fly and model.sticks is Sticks.SEEN and needs_sticks(model, self.vehicle, name):
             asked = self.runner.precedence.asked()
-            await self._request("RC_CHANNELS")  # the gate has to know where its throttle is
+            await self.request("RC_CHANNELS")  # the gate has to know where its throttle is
             if (why := self.runner.precedence.taken_by_pilot(asked)) is not None:
                 return self.refuse("mode", why)
         return await self.runner.run("mode", lambda now: orders.set_mode(self.vehicle, now, name, force=force))
@@ -492,22 +489,6 @@ class VehicleActor:
         if self.offboard.flying and (why := self.offboard.why_not_to(place)) is not None:
             raise RefusedError(why)
         return to
-
-    async def calibrate(self, sensor: str) -> Outcome:
-        """Calibrate one of its sensors (`Sensor`); only disarmed and on the ground. Lasts until it has a result."""
-        if (why := self.services.locks.refusal(SensorCalibration(self.vehicle.key))) is not None:
-            return self.refuse("calibrate", why)
-        with self.outcomes.tracked("calibrate") as ended:
-            return ended(await self.calibration.run(Sensor(sensor)))
-
-    async def confirm_pose(self) -> Outcome:
-        """Confirm that it lies as its calibration asked for."""
-        with self.outcomes.tracked("calibrate confirm") as ended:
-            return ended(await self.calibration.confirm())
-
-    async def cancel_calibration(self) -> Outcome:
-        with self.outcomes.tracked("calibrate cancel") as ended:
-            return ended(await self.calibration.cancel())
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self.runner.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -655,10 +636,23 @@ class VehicleActor:
         """Report an order that the fleet refuses."""
         return self.outcomes.finish(order, Outcome.refused(reason))
 
+    @property
+    def preflight_hint(self) -> str:
+        return f"run skygcs-cli preflight {self.name}, or {orders.FORCE_HINT}"
+
+    def never_passed(self) -> str | None:
+        """The `preflight_refusal` until preflight has examined it."""
+        return f"it has not passed preflight since it started; {self.preflight_hint}"
+
+    def arming_refusal(self, *, force: bool) -> str | None:
+        """Why it must not be armed now, as the fleet file requires a preflight; None if it may."""
+        if force or not self.config.require_preflight or self.vehicle.armed:
+            return None
+        return self.preflight_refusal()
+
     def require_preflight(self, *, force: bool) -> None:
         """Raises RefusedError if it must not be armed now."""
-        reason = self.preflight.refusal(force=force)
-        if reason is not None:
+        if (reason := self.arming_refusal(force=force)) is not None:
             raise RefusedError(reason)
 
     def _plan_hold(self, now: float) -> Plan:
@@ -687,19 +681,11 @@ class VehicleActor:
         if plan.steps and self.vehicle.connected and not self.vehicle.replayed:
             await self.runner.attempt_in_control(lambda now: plan)
 
-    async def _request(self, message: str) -> Outcome:
+    async def request(self, message: str) -> Outcome:
         """Request one message, without a report."""
         return await self.runner.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
-    def _stop_logs(self, result: str, text: str) -> None:
-        if self._logs is not None:
-            self._logs.stop(result, text)
-
     # -- reactions to frames and time
-
-    def _on_log_frame(self, frame: Frame, now: float) -> None:
-        if self._logs is not None:
-            self._logs.on_frame(frame, now)
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
@@ -717,11 +703,12 @@ class VehicleActor:
         """React to events of the vehicle, then publish them."""
         for event in events:
             if event.kind == "statustext":
-                others = self.fence, self.params, self.offboard, self.calibration
-                for reader in (self.commands, self.missions, *others):
+                others = self.fence_watch, self.params, self.offboard
+                for reader in (self.commands, self.missions, *others, *self._parts.values()):
                     reader.on_text(event.text)
             elif event.kind == "armed":
-                self._stop_logs("cancelled", "it was armed; the same command goes on when it is disarmed")
+                for part in self._parts.values():
+                    part.on_armed()
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
@@ -731,9 +718,9 @@ class VehicleActor:
                 self.uplink.forget()
                 self.offboard.release("the vehicle rebooted")
                 self.missions.run_begins()
-                self.preflight.forget()
-                self.metadata.forget()
                 self.streams.restart(now)
+                for part in self._parts.values():
+                    part.on_reboot()
             self.services.on_event(event)
 
     def _stop_protocols(self, text: str) -> None:
@@ -745,5 +732,5 @@ class VehicleActor:
         """End every exchange with it that is not an order."""
         self.missions.stop(result, text)
         self.params.stop_all(result, text)
-        self._stop_logs(result, text)
-        self.calibration.stop(text)
+        for part in self._parts.values():
+            part.stop(result, text)

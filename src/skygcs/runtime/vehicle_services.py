@@ -7,13 +7,14 @@ import math
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from skygcs.config.models import VehicleConfig
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
 from skygcs.core.monitor.tracks import Place
-from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.source_statistics import LinkFacts
 from skygcs.core.vehicle.frames import Setpoint
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -116,6 +117,42 @@ class SetpointProgram(Protocol):
     def foreseen(self, key: int) -> list[Place]:
         """Where one of them will be now and every `PLAN_STEP_S` of the monitor; empty: it is not one of them."""
         ...
+
+
+class VehiclePart:
+    """Base of what an extension keeps for one vehicle and makes of its actor (`VehicleActor.part`). The actor passes on
+    what happens to the vehicle; every call that a part does not override does nothing, and none may raise."""
+
+    messages: ClassVar[frozenset[int]] = frozenset()
+    """The messages of the vehicle whose frames `on_frame` gets. No other part of the actor may read them."""
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        """One frame of these messages. Hot."""
+
+    def on_text(self, text: str) -> None:
+        """A status text of the vehicle."""
+
+    def on_armed(self) -> None:
+        """It was armed."""
+
+    def on_reboot(self) -> None:
+        """It has rebooted; `stop` was called before."""
+
+    def tick(self, now: float) -> None:
+        """Called one to ten times a second."""
+
+    def stop(self, result: str, text: str) -> None:
+        """End every exchange with the vehicle with this result: it was lost, its id is no longer its own, or nothing
+        may be sent to it."""
+
+    async def wind_down(self) -> None:
+        """The daemon ends: undo what has begun, while the links are open."""
+
+    def close(self, reason: str) -> None:
+        """Nothing goes to the vehicle any more."""
+
+    async def ended(self) -> None:
+        """After `close`: wait until the changes that could not be undone have been noted."""
 
 
 class OrderChecks(Protocol):

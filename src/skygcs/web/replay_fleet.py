@@ -17,8 +17,8 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import STATUSTEXT
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.decoding import Decoder
-from skygcs.core.vehicle.message_cache import MAX_STATUS_TEXTS
 from skygcs.core.vehicle.snapshot import take_snapshot
+from skygcs.core.vehicle.status_texts import MAX_STATUS_TEXTS
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 

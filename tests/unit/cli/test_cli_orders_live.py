@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.cli.interruption import AFTER, Unanswered, interrupted_lines, state_line
-from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
-from skygcs.rpc.methods import METHODS
+from support.extension_parts import PLAIN_METHODS
 from support.fake_daemon import FakeOutcome
 from unit.cli.test_cli_commands import Fleet
 
@@ -73,20 +72,19 @@ def test_one_object_comes_at_the_end_and_a_line_each_on_request(fleet: Fleet) ->
 
 def test_every_order_of_the_daemon_says_what_goes_on_or_is_a_question() -> None:
     """A method that is neither here nor there would be left in silence."""
-    methods = {*METHODS, *(method.name for method in PLAN_METHODS)}
-    assert not set(AFTER) - methods
+    assert set(AFTER) <= PLAIN_METHODS.keys()
     unanswered = [Unanswered(name, {"targets": ["a", "b"]}) for name in AFTER]
     lines = interrupted_lines(unanswered)
     assert len(lines) == 2 * len(AFTER) and not [line for line in lines if "{" in line]
     assert interrupted_lines([Unanswered("vehicles.list", {"targets": "all"})]) == []
     silent = {
         *("daemon.info", "rpc.discover", "subscribe", "unsubscribe", "auth"),
-        *(name for name in methods if name.rpartition(".")[2] in QUESTIONS),
-        *(name for name in methods if name.partition(".")[0] in OF_THE_DAEMON),
+        *(name for name in PLAIN_METHODS if name.rpartition(".")[2] in QUESTIONS),
+        *(name for name in PLAIN_METHODS if name.partition(".")[0] in OF_THE_DAEMON),
         *AT_ONCE,
         *REPORT_THEMSELVES,
     }
-    assert not methods - silent - set(AFTER)
+    assert not PLAIN_METHODS.keys() - silent - set(AFTER)
 
 
 QUESTIONS = frozenset(

@@ -17,6 +17,7 @@ from skygcs.cli.main import app
 from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.param_file import parse
 from skygcs.core.protocols.parameter import ParamOutcome
+from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.param_transfers import Loaded
 from support.command_line import Served, said
 from support.fake_daemon import FakeDaemon
@@ -85,7 +86,7 @@ class Held(Served[FakeDaemon]):
         super().__init__(folder, FakeDaemon())
         self.alpha = self.daemon.vehicle("alpha")
         self.params = self.alpha.params = FakeParams()
-        self.alpha.metadata = shipped_metadata("ardupilot")
+        self.alpha.parts[VehicleMetadata] = shipped_metadata("ardupilot")
 
     def run(self, *words: object, code: int = 0, typed: str | None = None) -> str:
         return super().run("param", *words, code=code, typed=typed)

@@ -57,11 +57,12 @@ class FakeSetup:
 class SigningDaemon(FakeDaemon):
     def __init__(self) -> None:
         super().__init__()
-        self.signing_setup = FakeSetup()
         self.links_with_key = True
         self.pinned = False
         self.hub.channels = {}
         self.signing = SimpleNamespace(status=lambda channels: self.signing_status())
+        self.extensions.demand("signing")
+        self.signing_setup = self.extensions["signing"].setup = FakeSetup()
 
     def signing_status(self) -> dict[str, Any]:
         if not self.links_with_key:

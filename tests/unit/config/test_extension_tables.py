@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.config.extension_tables import GROUP, ON_DEMAND, installed, installed_points, on_demand
+from skygcs.config.extension_tables import GROUP, ON_DEMAND, installed, installed_points, on_demand, word_problems
+from skygcs.extension import Extension
 from skygcs.web.file_checks import CHECKS, EXTENSION_CHECKS, extension_checks
 
 Install = Callable[[str, str | bytes], None]
@@ -62,6 +63,14 @@ def test_a_word_of_the_core_stays_its_own(install: Install) -> None:
     assert on_demand()["kite"].value == "usurper:Kite"
     (problem,) = installed_points(ON_DEMAND).problems
     assert "plan is skygcs.ext.plans.extension:Plans" in problem and "usurper:Plans is not used" in problem
+
+
+@pytest.mark.parametrize("part", [("undo", ()), ("kite", ("params",))])
+def test_a_table_takes_no_word_of_the_methods_that_come_on_demand(part: tuple[str, tuple[str, ...]]) -> None:
+    """They would be missing, or two would answer to one word."""
+    name, names = part
+    (problem,) = word_problems({name: type("Own", (Extension,), {"names": names}), "kites": Extension})
+    assert problem == f"[{name}]: methods that begin with {(*names, name)[0]} are skygcs' own"
 
 
 def test_a_check_of_the_page_takes_no_method_of_the_page(install: Install) -> None:

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import functools
+import gc
 import json
 import sys
-import types
+import warnings
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
 
+from skygcs.config.extension_tables import demanded_word
 from skygcs.errors import RefusedError
 from skygcs.rpc import methods_on_demand
-from skygcs.rpc.dispatch import DeclaredMethods, Dispatcher, Later, Method, MethodTable, Reply
+from skygcs.rpc.dispatch import Dispatcher, Method, MethodTable, Reply, first_word
+from skygcs.rpc.methods import METHODS
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 from skygcs.rpc.replies import error_reply
+from support.extension_parts import ON_DEMAND, PLAIN_METHODS
 from support.table import each
 
 
@@ -197,37 +202,78 @@ async def test_every_method_is_made_beside_the_loop_and_one_that_cannot_be_is_le
     assert found.done == ["import kite", "import kite", "make kite"]
 
 
-async def test_an_extension_with_a_first_word_of_the_core_is_refused_at_its_first_call_and_at_its_second(
+async def test_a_first_call_that_is_closed_before_it_began_leaves_nothing_behind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Python would print "never awaited" to stderr, on the thread of the loop."""
     found = Installed(monkeypatch)
-    module = types.ModuleType("later_kites")
-    module.METHODS = (Method("kite.core", NoParams, lambda calls, _: "core"),)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "later_kites", module)
-    table: MethodTable[list[str]] = MethodTable((HERE,), {"kite": Later("kite", "later_kites")})
-
-    def demand(word: str, accept: Callable[[Any], None]) -> tuple[Method[Any], ...]:
-        try:
-            accept(ADDED)
-        except ValueError as error:
-            raise RefusedError(str(error)) from error
-        return ADDED
-
-    monkeypatch.setattr(found, "demand", demand)
-    loop = asyncio.get_running_loop()
-    dispatcher = Dispatcher(table, MethodsOnDemand(table, found, found._call, loop))
-    for number in (1, 2, 3):
-        request = {"jsonrpc": "2.0", "id": number, "method": "kite.add"}
-        error = (await answered(dispatcher.start([], request)))["error"]
-        assert error["message"] == "kite.add, kite.land: methods that begin with kite are the core's own"
-    core = {"jsonrpc": "2.0", "id": 4, "method": "kite.core"}
-    assert (await answered(dispatcher.start([], core)))["result"] == "core"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reply = found.start([], "kite.add")
+        assert isinstance(reply, Coroutine)
+        with pytest.MonkeyPatch.context() as patch:
+            unraisable = list[object]()
+            patch.setattr(sys, "unraisablehook", unraisable.append)
+            reply.close()
+            del reply
+            gc.collect()
+    assert unraisable == []
+    assert (await answered(found.start([], "kite.add")))["result"] == 1
 
 
-async def test_a_table_of_one_server_leaves_the_common_one_as_it_is() -> None:
-    common = DeclaredMethods((HERE,))
-    own = common.table()
-    own.add(ADDED)
-    assert (list(common), list(own)) == (["daemon.here"], ["daemon.here", "kite.add", "kite.land"])
-    with pytest.raises(ValueError, match="two methods are called kite"):
-        own.add(ADDED)
+@each("cancelled", [False, True])
+async def test_a_later_request_does_not_overtake_one_that_waits(
+    monkeypatch: pytest.MonkeyPatch, cancelled: bool
+) -> None:
+    """The methods are in the table before the calls that waited for them go on."""
+    found, done = Installed(monkeypatch), list[int]()
+    found.beside.clear()
+    waiting: list[asyncio.Task[Any]] = []
+
+    def ask(number: int) -> None:
+        async def order() -> None:
+            await answered(reply)
+            done.append(number)
+
+        reply = found.start([], "kite.add", number)
+        if isinstance(reply, Coroutine):
+            waiting.append(asyncio.create_task(order()))
+        else:
+            done.append(number)
+
+    for number in range(3):
+        ask(number)
+        await asyncio.sleep(0)
+    if cancelled:
+        waiting[1].cancel()
+    found.beside.set()
+    for number in range(3, 12):  # one in each turn of the loop, before, while and after the first goes on
+        ask(number)
+        await asyncio.sleep(0)
+    await asyncio.gather(*waiting, return_exceptions=True)
+    assert done == [number for number in range(12) if not (cancelled and number == 1)]
+    assert isinstance(found.start([], "kite.add"), bytes)
+
+
+async def test_all_are_described_once_for_all_that_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the loop, as that takes long."""
+    found = Installed(monkeypatch)
+    await found.dispatcher.every_method()
+    found.beside.clear()
+    made: list[int] = []
+    describe = functools.cache(lambda methods: made.append(len(methods)) or len(made))
+    both = [asyncio.ensure_future(found.dispatcher.described(describe)) for _ in range(2)]
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert made == []
+    found.beside.set()
+    assert (await asyncio.gather(*both), made) == ([1, 1], [3])
+
+
+def test_ours_begin_with_their_words_and_none_is_for_an_emergency() -> None:
+    """One that comes with its first call is not carried on without its client, nor while the daemon shuts down."""
+    for name in PLAIN_METHODS.keys() - METHODS.keys():
+        method = PLAIN_METHODS[name]
+        assert demanded_word(name, ON_DEMAND) in ON_DEMAND, name
+        never_first = first_word(name) == "plan"  # what ends its flight comes after what began it
+        assert never_first or not (method.always or method.while_stopping or method.outlives_client), name

@@ -14,7 +14,8 @@ import pytest
 
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
-from skygcs.rpc import params, slices
+from skygcs.ext.params import methods as params
+from skygcs.rpc import slices
 from skygcs.rpc.slices import AHEAD_S, LOOK_S, ORDER_S, PAUSE_S, PUT_OFF_S, Slices
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.task_set import OneATurn

@@ -12,8 +12,8 @@ from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import OwnMessage, Priority, TxQueue
 from skygcs.events import Event
 from skygcs.links.paced import AirBudget
+from skygcs.runtime.admission_reports import TEXT_BYTES, AdmissionReports
 from skygcs.runtime.hub import Hub
-from skygcs.runtime.program_traffic import TEXT_BYTES, AdmissionReports
 from support.routed import DIALECT
 from support.table import each
 

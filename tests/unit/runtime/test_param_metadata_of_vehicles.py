@@ -58,7 +58,8 @@ class Board:
     def __post_init__(self) -> None:
         self.vehicle = Vehicle(3, 1, flight_dialect())
         self.vehicle.on_frame(Voice(3).beat(self.autopilot), 0.0)
-        self.metadata = VehicleMetadata(self.vehicle, flight_dialect(), cast(Any, self), self._request)
+        self.services, self.params, self.request = SimpleNamespace(dialect=flight_dialect()), self, self._request
+        self.metadata = VehicleMetadata(cast(Any, self))
 
     async def _request(self, message: str) -> Outcome:
         self.asked.append(message)
@@ -99,7 +100,7 @@ async def test_a_px4s_own_file_counts_and_is_read_once_for_all_of_its_build(tmp_
     assert len(first.asked) == 3
     again = Board.with_file(ParamCache(tmp_path))
     assert (await again.metadata.read(insist=False))["own"] and again.asked == ["COMPONENT_METADATA", GENERAL]
-    first.metadata.forget()  # it has rebooted, perhaps with another firmware
+    first.metadata.on_reboot()  # it has rebooted, perhaps with another firmware
     assert first.metadata.refusals({"MPC_XY_CRUISE": 8}) == {}
 
 

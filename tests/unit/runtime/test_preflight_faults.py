@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.preflight.report import LinkFacts
+from skygcs.core.routing.source_statistics import LinkFacts
+from skygcs.runtime.preflight_run import examine_fleet
 from skygcs.sim import protocol as m
 from skygcs.sim.kinematics import Home
 from support.preflight_field import PreflightField
@@ -205,6 +206,6 @@ async def test_firmware_and_strangers() -> None:
 async def test_who_is_missing_is_told() -> None:
     named = {"papa": {"sysid": 1}, "echo": {"sysid": 2}, "zulu": {"sysid": 77, "group": "far"}}
     async with PreflightField(vehicles=named) as field:
-        told = await field.fleet.preflight("all")
+        told = await examine_fleet(field.fleet, "all")
         assert [name for name, report in told.items() if not report["ok"]] == ["zulu"]
-        assert "has not been heard" in (await field.fleet.preflight("far"))["zulu"]["summary"]
+        assert "has not been heard" in (await examine_fleet(field.fleet, "far"))["zulu"]["summary"]

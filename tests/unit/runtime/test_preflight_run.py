@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.preflight.report import LinkFacts
 from skygcs.core.protocols.command import Outcome
+from skygcs.core.routing.source_statistics import LinkFacts
 from skygcs.runtime import onboard_orders
+from skygcs.runtime.preflight_run import Preflight, examine_fleet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.preflight_field import PreflightField
 
@@ -66,8 +67,8 @@ async def test_a_message_that_was_lost_on_the_radio_is_asked_for_once_more() -> 
     async with PreflightField(defaults={"streams": {}}) as field:
         field.vehicle("papa").streams.set_interval("ESTIMATOR_STATUS", float("inf"), field.loop.time())
         await asyncio.sleep(30)
-        preflight = field.actor("papa").preflight
-        ask, asked = preflight._request, []
+        actor, asked = field.actor("papa"), []
+        ask = actor.request
 
         async def lossy(message: str) -> Outcome:
             asked.append(message)
@@ -75,7 +76,7 @@ async def test_a_message_that_was_lost_on_the_radio_is_asked_for_once_more() -> 
                 return Outcome(False, "timeout", f"timeout: accepted, but no {message} came")
             return await ask(message)
 
-        preflight._request = lossy
+        actor.request = lossy
         assert await field.complaints("papa") == {}
         assert asked and {asked.count(message) for message in asked} == {2}
 
@@ -97,31 +98,31 @@ async def test_a_parameter_it_must_have_is_a_failure() -> None:
 
 async def test_fixing_sets_what_was_agreed_to_and_reads_it_back() -> None:
     async with PreflightField(defaults=STRICT) as field:
-        first = (await field.fleet.preflight("all"))["papa"]
+        first = (await examine_fleet(field.fleet, "all"))["papa"]
         assert {f["name"]: (f["before"], f["value"]) for f in first["fixes"]} == {
             "COM_RC_IN_MODE": (1, 4),
             "MPC_XY_VEL_MAX": (12.0, 5),
         }
         agreed = {"papa": {"COM_RC_IN_MODE": 4, "MPC_XY_VEL_MAX": 4.0}}
-        reported = await field.fleet.preflight("all", fix=True, confirmed=agreed)
+        reported = await examine_fleet(field.fleet, "all", fix=True, confirmed=agreed)
         assert {name: o["value"] for name, o in reported["papa"]["fixed"].items()} == {"COM_RC_IN_MODE": 4}
         assert not reported["papa"]["ok"] and reported["echo"]["fixed"] == {}
         assert field.vehicle("papa").params["MPC_XY_VEL_MAX"] == 12.0
-        reported = await field.fleet.preflight("papa", fix=True)
+        reported = await examine_fleet(field.fleet, "papa", fix=True)
         assert reported["papa"]["ok"] and field.vehicle("papa").params["MPC_XY_VEL_MAX"] == 5.0
 
 
 async def test_an_id_is_never_set() -> None:
     ids = {"preflight": {"params": {"MAV_SYS_ID": 3}}}
     async with PreflightField(vehicles={"papa": {"sysid": 1, **ids}, "echo": {"sysid": 2}}) as field:
-        reported = (await field.fleet.preflight("papa", fix=True))["papa"]
+        reported = (await examine_fleet(field.fleet, "papa", fix=True))["papa"]
         assert not reported["ok"] and reported["fixes"] == [] and field.vehicle("papa").params["MAV_SYS_ID"] == 1
 
 
 async def test_nothing_is_set_on_a_vehicle_that_is_armed() -> None:
     async with PreflightField(defaults=STRICT) as field:
         assert (await field.actor("papa").arm()).ok
-        reported = (await field.fleet.preflight("papa", fix=True))["papa"]
+        reported = (await examine_fleet(field.fleet, "papa", fix=True))["papa"]
         assert "it is armed" in reported["unfixed"] and field.vehicle("papa").params["COM_RC_IN_MODE"] == 1
 
 
@@ -151,10 +152,12 @@ async def test_a_pass_lasts_so_long_and_no_longer() -> None:
         actor = field.actor("papa")
         await field.complaints("papa")
         await asyncio.sleep(40)
-        assert actor.preflight.refusal() is None and actor.preflight.status()["valid_s"] == pytest.approx(20, abs=2)
+        assert actor.arming_refusal(force=False) is None and actor.part(Preflight).status()["valid_s"] == pytest.approx(
+            20, abs=2
+        )
         await asyncio.sleep(50)
         assert "passed 2 min ago (valid for 1 min)" in (await actor.arm()).message
-        assert actor.preflight.status()["state"] == "expired"
+        assert actor.part(Preflight).status()["state"] == "expired"
 
 
 async def test_a_reboot_ends_a_pass_also_amid_it() -> None:
@@ -163,16 +166,16 @@ async def test_a_reboot_ends_a_pass_also_amid_it() -> None:
         await field.complaints("papa")
         field.vehicle("papa").faults.reboot = True
         await asyncio.sleep(10)
-        assert actor.preflight.status()["state"] == "never"
-        running = asyncio.create_task(actor.preflight.run())
+        assert actor.part(Preflight).status()["state"] == "never"
+        running = asyncio.create_task(actor.part(Preflight).run())
         await asyncio.sleep(0.05)
-        actor.preflight.forget()
+        actor.part(Preflight).on_reboot()
         await running
-        assert actor.preflight.status()["state"] == "never"
+        assert actor.part(Preflight).status()["state"] == "never"
 
 
 async def test_one_vehicle_may_require_what_others_do_not() -> None:
     named = {"papa": {"sysid": 1, "require_preflight": True}, "echo": {"sysid": 2}}
     async with PreflightField(vehicles=named) as field:
-        assert field.actor("papa").preflight.refusal() is not None
-        assert field.actor("echo").preflight.refusal() is None
+        assert field.actor("papa").arming_refusal(force=False) is not None
+        assert field.actor("echo").arming_refusal(force=False) is None

@@ -27,7 +27,7 @@ from skygcs.core.mavlink.param_encoding import (
 from skygcs.core.protocols.parameter import LONGEST_QUEUED_S
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.rpc.params import ParamStatus
+from skygcs.ext.params.methods import ParamStatus
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.param_transfers import VehicleParams
 from support.hosts import until

@@ -29,9 +29,6 @@ from typing import Any
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, Value, float32, is_name, value_text
 from skygcs.spelling import enumerated
 
-MAX_TABLE_BYTES = 4_000_000
-"""A table is not larger: ArduPilot's, of all vehicles, has a tenth of it."""
-
 MAX_PARAMS = 10_000
 """In a vehicle's own file: PX4 has some 1800."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -141,3 +142,21 @@ class Expectations:
 def _bit_list(mask: int) -> str:
     numbers = [str(n) for n in range(mask.bit_length()) if mask >> n & 1]
     return f"bit{'s' if len(numbers) > 1 else ''} {' and '.join(numbers)}"
+
+
+_VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
+_STAGES = ("dev", "alpha", "beta", "rc")
+
+
+def version_problem(text: str) -> str | None:
+    """Why a version cannot be compared; None if it can."""
+    return None if _VERSION.fullmatch(text) else f"{text!r} is not a version such as 1.16.0 or 4.6.2-beta1"
+
+
+def version_of(text: str) -> tuple[int, ...]:
+    """The version as numbers that can be compared; a development stage comes before its release."""
+    match = _VERSION.match(text)
+    if match is None:
+        return (0,)
+    stage = len(_STAGES) if match[4] is None else _STAGES.index(match[4])
+    return (int(match[1]), int(match[2]), int(match[3] or 0), stage, int(match[5] or 0))

@@ -19,14 +19,13 @@ GPS1_TYPE          0                           GPS_TYPE up to 4.6; a GPS that is
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.param_encoding import value_text
-from skygcs.core.preflight.expectations import FIXES, Expectations
+from skygcs.core.preflight.expectations import FIXES, Expectations, version_of
 from skygcs.core.preflight.report import Finding, Fix, PreflightFacts, Severity, failed, passed, skipped, unknown
 from skygcs.core.vehicle.autopilot import TAKEOFF_MODES, takes_off_from
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
@@ -55,9 +54,6 @@ _NEEDED = (
     (32, "no height"),
 )
 """Bits of `ESTIMATE_NEEDED`, and what is missing without each."""
-
-_VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
-_STAGES = ("dev", "alpha", "beta", "rc")
 
 TERRAIN = "terrain"
 TERRAIN_TODO = (
@@ -255,7 +251,7 @@ def prearm(facts: PreflightFacts, wanted: Expectations) -> Finding:
 
 def _px4_reports(facts: PreflightFacts) -> bool:
     """PX4 sets the bit of the arming checks in ``health`` alone, neither in ``present`` nor in ``enabled``."""
-    return facts.family == "px4" and _version(facts.state["firmware"] or "") >= PX4_REPORTS_PREARM
+    return facts.family == "px4" and version_of(facts.state["firmware"] or "") >= PX4_REPORTS_PREARM
 
 
 def battery(facts: PreflightFacts, wanted: Expectations) -> Finding:
@@ -321,7 +317,7 @@ def firmware(facts: PreflightFacts, wanted: Expectations) -> Finding:
     if wanted.firmware and version not in wanted.firmware:
         return failed(f"firmware {version} (must be {' or '.join(wanted.firmware)})", "flash that version")
     least = wanted.firmware_min
-    if least is not None and _version(version) < _version(least):
+    if least is not None and version_of(version) < version_of(least):
         return failed(f"firmware {version} (at least {least})", "flash a newer one")
     return passed(f"firmware {version}")
 
@@ -374,20 +370,6 @@ def _texts(facts: PreflightFacts, beginnings: tuple[str, ...]) -> list[str]:
 
 def _because(texts: list[str]) -> str:
     return f" ({'; '.join(texts)})" if texts else ""
-
-
-def version_problem(text: str) -> str | None:
-    """Why a version cannot be compared; None if it can."""
-    return None if _VERSION.fullmatch(text) else f"{text!r} is not a version such as 1.16.0 or 4.6.2-beta1"
-
-
-def _version(text: str) -> tuple[int, ...]:
-    """The version as numbers that can be compared; a development stage comes before its release."""
-    match = _VERSION.match(text)
-    if match is None:
-        return (0,)
-    stage = len(_STAGES) if match[4] is None else _STAGES.index(match[4])
-    return (int(match[1]), int(match[2]), int(match[3] or 0), stage, int(match[5] or 0))
 
 
 NO_MOCAP = "[mocap] of the fleet file does not name it"

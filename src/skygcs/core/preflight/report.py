@@ -14,6 +14,7 @@ from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
 from skygcs.core.params.names import other_name
+from skygcs.core.routing.source_statistics import LinkFacts
 from skygcs.core.vehicle.vehicle_model import Sticks
 from skygcs.spelling import listed
 
@@ -142,20 +143,6 @@ class Answer:
     param: Param | None = None
     absent: bool = False
     why: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class LinkFacts:
-    """One link on which the vehicle is heard.
-
-    ``loss``: 0..1 of its frames of the last while, None with too few of them. ``margin_db``: the lower of signal above
-    noise at either end of a radio, None without a radio or recent report. Of several vehicles behind one radio the
-    margin is the radio's own word for whom it heard last.
-    """
-
-    loss: float | None = None
-    frames: int = 0
-    margin_db: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ the live daemon, its compiled fast path, `tlog info` and `tlog plot` all count w
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 WINDOW = 64
@@ -241,3 +242,17 @@ class LossWindow:
             return None
         lost = max(0, self._marks[-1][2] - self._marks[0][2])
         return lost / (frames + lost)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFacts:
+    """One link on which a vehicle is heard.
+
+    ``loss``: 0..1 of its frames of the last while, None with too few of them. ``margin_db``: the lower of signal above
+    noise at either end of a radio, None without a radio or recent report. Of several vehicles behind one radio the
+    margin is the radio's own word for whom it heard last.
+    """
+
+    loss: float | None = None
+    frames: int = 0
+    margin_db: float | None = None

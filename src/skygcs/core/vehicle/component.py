@@ -11,7 +11,8 @@ from typing import Any
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import AUTOPILOT_INVALID
 from skygcs.core.vehicle.decoding import Decoder
-from skygcs.core.vehicle.message_cache import Slot, StatusText, StatusTextAssembler
+from skygcs.core.vehicle.message_cache import Slot
+from skygcs.core.vehicle.status_texts import StatusText, StatusTextAssembler
 
 MAX_MESSAGES = 64
 """Message types kept of one component; a companion that flies a vehicle sends some 15. Others are only counted."""

@@ -10,9 +10,10 @@ from typing import Any
 from skygcs.core.geo import world_from_enu, wrap_deg_180
 from skygcs.core.protocols.command import RESULT_NAMES
 from skygcs.core.vehicle.decoding import GROUPS
-from skygcs.core.vehicle.message_cache import MAX_STATUS_TEXTS, Slot
+from skygcs.core.vehicle.message_cache import Slot
 from skygcs.core.vehicle.mission_orders import number_of
 from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
+from skygcs.core.vehicle.status_texts import MAX_STATUS_TEXTS
 from skygcs.core.vehicle.vehicle import Vehicle
 
 

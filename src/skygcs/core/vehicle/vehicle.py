@@ -33,14 +33,7 @@ from skygcs.core.vehicle.decoding import (
     firmware_from_banner,
     firmware_from_version,
 )
-from skygcs.core.vehicle.message_cache import (
-    MAX_STATUS_TEXTS,
-    MessageCache,
-    Parameters,
-    Slot,
-    StatusText,
-    StatusTextAssembler,
-)
+from skygcs.core.vehicle.message_cache import MessageCache, Parameters, Slot
 from skygcs.core.vehicle.shared_ids import BootClock, Finding, SharedIds
 from skygcs.core.vehicle.state import (
     ACTIVE,
@@ -52,6 +45,7 @@ from skygcs.core.vehicle.state import (
     SYSTEM_STATUS,
     name_of,
 )
+from skygcs.core.vehicle.status_texts import MAX_STATUS_TEXTS, StatusText, StatusTextAssembler
 from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude, standing_amsl_m
 from skygcs.events import Event
 

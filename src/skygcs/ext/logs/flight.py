@@ -24,9 +24,9 @@ from skygcs.core.vehicle.decoding import (
     firmware_from_banner,
     firmware_from_version,
 )
-from skygcs.core.vehicle.message_cache import StatusTextAssembler
 from skygcs.core.vehicle.shared_ids import BootClock
 from skygcs.core.vehicle.state import AIRBORNE, FAILSAFE_STATUS, LANDED, STANDBY, name_of
+from skygcs.core.vehicle.status_texts import StatusTextAssembler
 from skygcs.ext.logs.curves import MOST_SPANS, Curve, LossCurve, Track
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.tlog.format import LogEntry

@@ -22,7 +22,7 @@ from skygcs.core.vehicle.decoding import (
     decode_gps,
     decode_position,
 )
-from skygcs.core.vehicle.message_cache import StatusTextAssembler
+from skygcs.core.vehicle.status_texts import StatusTextAssembler
 from skygcs.tlog.format import LogEntry
 
 POSITION = "GLOBAL_POSITION_INT"

@@ -36,6 +36,7 @@ from skygcs.ext.mocap.recording import CaptureFrameData
 from skygcs.ext.mocap.simulated_capture import SimulatedCapture
 from skygcs.links.base import Channel
 from skygcs.rpc.context import Services
+from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 POSES = standing("poses")
@@ -262,7 +263,7 @@ class MocapFeed:
         for fed in self._fed.values():
             fed.actor = self._actor_of(fed)
             if fed.actor is not None:
-                fed.actor.preflight.fly_by_poses(fed.stream.problem)
+                fed.actor.part(Preflight).fly_by_poses(fed.stream.problem)
             self._choose_way(fed, heard, now)
             fed.rate_hz = 0.0 if fed.channel is None else self._rate_hz(fed.channel)
             fed.stream.rate_hz = fed.rate_hz

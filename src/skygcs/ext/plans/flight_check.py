@@ -178,7 +178,6 @@ class Vehicles(Protocol):
     def monitor(self) -> SeparationMonitor: ...
     @property
     def notes(self) -> FlightNotes: ...
-    async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
 
 
 class FlightCheck:
@@ -220,7 +219,7 @@ class FlightCheck:
             findings += await mission_findings(actors)
         if not refusals(findings, force=request.force):
             standing = measure(actors, [], frame, now).grounded
-            findings += await preflight_findings(actors, standing, self._fleet.preflight)
+            findings += await preflight_findings(actors, standing)
             checked.heights = await return_heights(actors)
         # the places as they are now, after the questions
         measured = measure(actors, self._fleet.everybody(), frame, self._loop.time(), self._fleet.monitor.why_leaving)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.core.geo import EnuFrame
@@ -40,7 +40,9 @@ from skygcs.ext.plans.flight.plan_in_fence import CHECK, Reach, fence_finding, s
 from skygcs.ext.plans.flight.plan_rehearsal import SLOWER, Stopped
 from skygcs.ext.plans.plan_flight import HOLD_MODES, measured_place
 from skygcs.runtime import fleet_margins
+from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.preflight_run import Preflight, examine_all
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import VehicleLinks
 
@@ -296,19 +298,11 @@ def _too_slow(actor: VehicleActor, control_mode: str, flown: Sequence[Vehicle], 
     )
 
 
-async def preflight_findings(
-    actors: Sequence[VehicleActor],
-    grounded: frozenset[str],
-    preflight: Callable[[list[str]], Awaitable[Mapping[str, Any]]],
-) -> list[Finding]:
+async def preflight_findings(actors: Sequence[VehicleActor], grounded: frozenset[str]) -> list[Finding]:
     """Findings of the vehicles that are to be armed. Those in the air have passed it already, or were forced."""
-    standing = [actor.name for actor in actors if actor.name in grounded]
-    if not standing:
-        return []
-    reports = await preflight(standing)
+    standing = {actor.name: actor.part(Preflight) for actor in actors if actor.name in grounded}
     found = []
-    for name in standing:
-        report = reports[name]
+    for name, report in (await examine_all(standing)).items():
         summary = report["summary"]
         fine = Finding(name, "preflight", Level.OK, summary)
         remedy = remedies.preflight(name)
@@ -345,7 +339,7 @@ async def fence_findings(
 
     async def one(actor: VehicleActor) -> Finding:
         async with slots:
-            held = await actor.fence.settings()
+            held = await actor.part(VehicleFence).settings()
             shapes = None if isinstance(held, str) or not held.enabled else await actor.missions.fence_shapes()
         if isinstance(held, str):
             return refused(actor.name, CHECK, held, remedies.insist("check its link"), insist=True)

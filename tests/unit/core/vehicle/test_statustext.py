@@ -5,7 +5,7 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.vehicle.message_cache import (
+from skygcs.core.vehicle.status_texts import (
     CHUNK_BYTES,
     CHUNK_TIMEOUT_S,
     MAX_CHUNKS,

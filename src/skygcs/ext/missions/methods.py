@@ -1,12 +1,12 @@
-"""The methods of what vehicles keep on board: missions, fences, rally points, the fence of parameters, logs.
-
-`METHODS`, `FENCE` and `LOGS` are their parts of the table.
-"""
+"""The methods of missions, fences and rally points, and the extension that has them: it is made when one of them is
+first called."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
@@ -14,12 +14,15 @@ from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FIRST_ITEM, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.core.monitor.mission_ways import MissionRun
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.vehicle.fence_params import FenceAction
-from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind
+from skygcs.core.vehicle.formation import MAX_SPACING_M, MAX_STEP_M, SPACING_M, Arrangement, ArrangementKind, arranging
+from skygcs.core.vehicle.orders import fresh_position
 from skygcs.errors import PlanFileError
+from skygcs.ext.missions.mission_turns import MissionTurns
+from skygcs.extension import Extension, NoTable
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve
+from skygcs.rpc.context import Context, JsonObject, Services, as_json, command, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.json_lines import MAX_LINE_BYTES
 from skygcs.rpc.models import (
@@ -32,10 +35,9 @@ from skygcs.rpc.models import (
     TargetParams,
     TargetsParams,
 )
-from skygcs.runtime import (
-    onboard_logs,  # noqa: F401 - a vehicle uses it, and must not wait for its import
-    onboard_orders,
-)
+from skygcs.runtime import onboard_orders
+from skygcs.runtime.fleet_orders import Own
+from skygcs.runtime.task_set import in_turns
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
@@ -174,8 +176,28 @@ async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObj
     arrangement = None if params.arrangement is None else params.arrangement.arrangement()
     if arrangement is not None and MissionType.MISSION not in kinds:
         raise InvalidParams(("arrangement", "it is of missions, and none is uploaded"))
-    given = {"plan": plan, "kinds": kinds, "arrangement": arrangement, "force": params.force}
-    return await command(context, params.targets, onboard_orders.upload_plan, **given)
+    each = None if arrangement is None else partial(_arranged, context.services, plan, arrangement, force=params.force)
+    given = {"plan": plan, "kinds": kinds, "force": params.force}
+    return await command(context, params.targets, onboard_orders.upload_plan, each=each, moves=False, **given)
+
+
+async def _arranged(
+    services: Services, plan: MissionPlan, arrangement: Arrangement, actors: Sequence[VehicleActor], *, force: bool
+) -> tuple[Own, dict[VehicleActor, str]]:
+    """The plan of each vehicle, made of one, and why some do not get it: two of these missions come too near each
+    other, unless ``force``."""
+    now, monitor = services.now(), services.fleet.monitor
+    found = [fresh_position(actor.vehicle, now) for actor in actors]
+    places = [None if place is None else place[:2] for place in found]
+    try:
+        plans = await in_turns(arranging(plan, arrangement, places, [monitor.footprint(actor) for actor in actors]))
+    except ValueError as error:
+        return {}, dict.fromkeys(actors, str(error))
+    own: Own = {actor: {"plan": one} for actor, one in zip(actors, plans, strict=True)}
+    if force:
+        return own, {}
+    runs = {actor: MissionRun(one.mission) for actor, one in zip(actors, plans, strict=True)}
+    return own, await monitor.mission_overlaps(await services.fleet.orders.with_return_heights(runs))
 
 
 async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
@@ -198,6 +220,10 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
     )
 
 
+def turns_of(services: Services) -> MissionTurns:
+    return cast("Missions", services.extensions["missions"]).turns
+
+
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on.
 
@@ -211,13 +237,13 @@ async def missions_start(context: Context, params: MissionStartParams) -> JsonOb
             outcomes = await fleet.orders.command_all([actor.name], onboard_orders.start_mission, **arguments)
             return outcomes[actor.name]
 
-        return as_json(await fleet.turns.begin(fleet.resolve(params.targets), start))
+        return as_json(await turns_of(context.services).begin(fleet.resolve(params.targets), start))
     return await command(context, params.targets, onboard_orders.start_mission, **arguments)
 
 
 def missions_end_turns(context: Context, params: NoParams) -> JsonObject:
     """End the turns: the vehicle that flies goes on, others do not start."""
-    return {"ended": context.services.fleet.turns.end("ended by an order")}
+    return {"ended": turns_of(context.services).end("ended by an order")}
 
 
 async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
@@ -237,7 +263,7 @@ async def missions_set_current(context: Context, params: MissionItemParams) -> J
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
     """Each vehicle's place in its mission, and transfers."""
-    reports, turns = [], context.services.fleet.turns
+    reports, turns = [], turns_of(context.services)
     for vehicle in resolve(context.services, params.targets):
         has_fence = "FENCE_STATUS" in context.services.dialect.by_name
         fence = vehicle.latest("FENCE_STATUS") if has_fence else None
@@ -268,60 +294,6 @@ def _item(number: int, item: MissionItem) -> JsonObject:
     }
 
 
-class FenceSetParams(TargetsParams):
-    radius_m: float | None = Field(None, ge=0, le=100_000, description="Around home; 0 removes it; null leaves it.")
-    height_m: float | None = Field(None, ge=0, le=10_000, description="Above home; 0 removes it; null leaves it.")
-    action: FenceAction | None = Field(
-        None, description="What it does outside the fence; none: no fence; null: leaves it."
-    )
-    force: bool = Field(False, description="Although it flies and would be outside of that fence at once.")
-
-
-class FenceTestParams(TargetsParams):
-    radius_m: float = Field(2.0, ge=1, le=50, description="Radius of the test fence around home.")
-    action: FenceAction = Field("return", description="What it must do outside it.")
-    timeout_s: float = Field(120.0, ge=5, le=1800, description="Time for the walk.")
-
-
-class HomeFence(Result):
-    """The fence about home; of fence.status also breached, breaches, from_home_m, last_text."""
-
-    enabled: bool | None
-    action: str | None
-    radius_m: float | None
-    height_m: float | None
-    follows_list: bool | None = Field(description="Whether polygons and circles are watched.")
-
-
-class FenceResult(OutcomeResult):
-    fence: HomeFence | None
-    record: dict[str, Any] | None = Field(description="Of fence.test: what was seen, and the file that holds it.")
-
-
-class FenceResults(Result):
-    outcomes: dict[str, FenceResult] = Field(description="By vehicle name.")
-
-
-async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
-    """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
-    if params.radius_m is None and params.height_m is None and params.action is None:
-        raise InvalidParams(("radius_m", "give a radius, a height or an action"))
-    return await command(context, params.targets, onboard_orders.set_fence, **params.arguments())
-
-
-async def fence_status(context: Context, params: ListParams) -> JsonObject:
-    """The fence of each vehicle, read now, and what it reports of breaches."""
-    return await command(context, params.targets, onboard_orders.read_fence)
-
-
-async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
-    """Test the fence on foot, propellers off (docs/howto/missions.md): a small one is set, and the old one put back.
-
-    Progress comes as events of kind fence. ok: it reported the breach and, if armed, took its action.
-    """
-    return await command(context, params.targets, onboard_orders.test_fence, **params.arguments())
-
-
 _TARGET = (error_codes.TARGET_ERROR,)
 
 
@@ -338,49 +310,19 @@ METHODS: tuple[Method[Context], ...] = (
 )
 
 
-FENCE: tuple[Method[Context], ...] = (
-    Method("fence.set", FenceSetParams, fence_set, FenceResults, _TARGET),
-    Method("fence.status", ListParams, fence_status, FenceResults, _TARGET),
-    Method("fence.test", FenceTestParams, fence_test, FenceResults, _TARGET),
-)
+class Missions(Extension[NoTable]):
+    def __init__(self, core: Services, config: NoTable) -> None:
+        super().__init__(core, config)
+        self.turns = MissionTurns(asyncio.get_running_loop(), core.event_log.publish)
 
+    def registered(self) -> None:
+        self.core.fleet.orders.on_ending.append(self.turns.taken)
 
-LogId = Annotated[int, Field(ge=0, le=65535)]
+    def woke(self, why: str) -> None:
+        self.turns.end(why)
 
+    def close(self) -> None:
+        self.turns.close()
 
-class LogsGetParams(TargetsParams):
-    logs: Literal["latest", "all"] | Annotated[list[LogId], Field(min_length=1, max_length=500)] = Field(
-        "latest", description='"latest", "all", or ids as logs.list shows them.'
-    )
-    force: bool = Field(False, description="Over a radio, too: it slows every vehicle on it.")
-
-
-class LogsOutcomes(Result):
-    outcomes: dict[str, dict[str, Any]] = Field(
-        description="By vehicle name: an outcome, with logs (id, size_bytes, time_unix_s or null) and files (id, path, "
-        "size_bytes, resumed_at: bytes that were there before)."
-    )
-
-
-LOGS: tuple[Method[Context], ...] = (
-    order_method(
-        "logs.list",
-        TargetsParams,
-        onboard_orders.list_logs,
-        "The logs that vehicles have on board. Refused while armed.",
-        result=LogsOutcomes,
-        errors=(error_codes.TARGET_ERROR,),
-    ),
-    order_method(
-        "logs.get",
-        LogsGetParams,
-        onboard_orders.get_logs,
-        """Write onboard logs of vehicles to files of the daemon, in onboard/ of its log_dir.
-
-        Resumes a log that came in part; skips one that is there. Progress comes as events of kind
-        onboard_log. Refused while armed, and over a radio without force. It ends with its client.
-        """,
-        result=LogsOutcomes,
-        errors=(error_codes.TARGET_ERROR,),
-    ),
-)
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS

@@ -42,15 +42,6 @@ class UndoOrders:
         self._running: set[str] = set()
         self._reading: asyncio.Future[list[UndoableChange]] | None = None
 
-    def report(self) -> None:
-        """Report each change that was left, and files that cannot be read, as one event each."""
-        for change in self._journal.left():
-            text = f"{change}; skygcs-cli undo run {change.id} restores it, undo drop removes the entry"
-            self._publish(change, text, {"id": change.id, "state": "left"})
-        if problems := self._journal.problems:
-            text = f"{self._journal.folder}: {'; '.join(problems[:5])}; these are not undone"
-            self._on_event(Event("undo", None, None, text, {"state": "unreadable"}))
-
     async def left(self) -> dict[str, Any]:
         """JSON-able: entries that wait for their undo, and files that cannot be read. Raises RefusedError if the disk
         does not answer. One reading serves all who ask before it is done: other journals wait for the same disk."""
@@ -95,7 +86,7 @@ class UndoOrders:
         require_connected(actor.vehicle, self._now())
         if actor.vehicle.armed and not force:
             raise RefusedError(f"it is armed; {FORCE_HINT}")
-        if actor.fence.testing:
+        if actor.fence_watch.testing:
             raise RefusedError("its fence is being tested")
         # find the parameters that differ; one that was changed since needs force
         to_set: dict[str, float] = {}

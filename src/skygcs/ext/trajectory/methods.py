@@ -1,7 +1,8 @@
-"""The methods of timed trajectories. `METHODS` is their part of the table."""
+"""The methods of timed trajectories, and the extension that has them: it is made when one of them is first called."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -11,6 +12,7 @@ from skygcs.core.trajectory.piecewise import MAX_DEGREE
 from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
 from skygcs.core.vehicle.state import Vec3
 from skygcs.errors import RefusedError, TrajectoryError
+from skygcs.extension import Extension, NoTable
 from skygcs.rpc import error_codes
 from skygcs.rpc.context import Context, JsonObject, as_json, one_vehicle, resolve
 from skygcs.rpc.dispatch import Method
@@ -187,3 +189,8 @@ METHODS: tuple[Method[Context], ...] = (
     Method("trajectory.paths", TrajectoryPathsParams, trajectory_paths, TrajectoryPaths, _TARGET),
     Method("trajectory.status", ListParams, trajectory_status, TrajectoryStatus, _TARGET),
 )
+
+
+class Trajectories(Extension[NoTable]):
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS

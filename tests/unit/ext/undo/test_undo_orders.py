@@ -6,8 +6,8 @@ import asyncio
 from pathlib import Path
 
 from skygcs.disk_writer import DiskWriter
+from skygcs.ext.undo.undo_orders import UndoOrders
 from skygcs.runtime.undo_journal import UndoJournal
-from skygcs.runtime.undo_orders import UndoOrders
 from support.inline_disk import Inline
 
 

@@ -1,26 +1,25 @@
-"""The methods of parameters, of preflight (which reads and mends them) and of changes left to be undone.
-
-`METHODS`, `PREFLIGHT` and `UNDO` are their parts of the table.
-"""
+"""The methods of parameters, and the extension that has them: it is made when one of them is first called."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, Value, is_name, value_text
+from skygcs.core.mavlink.param_encoding import Param, Value, value_text
 from skygcs.core.params.metadata import ParamMetadata
 from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.protocols.parameter_list import BYTES_PER_S
+from skygcs.extension import Extension, NoTable
 from skygcs.rpc import dispatch, error_codes
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Encoded, Method
-from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
+from skygcs.rpc.models import ParamName, ParamResult, Result, TargetsParams
 from skygcs.rpc.replies import encode
+from skygcs.runtime.param_metadata import VehicleMetadata
 from skygcs.runtime.task_set import OneATurn
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -40,21 +39,12 @@ PARAMS_AT_ONCE = 50
 """Encoded between two looks at the clock: .1 ms."""
 
 
-def _name(text: str) -> str:
-    if not is_name(text):
-        raise ValueError(f"a parameter's name has letters, digits and _, at most {NAME_CHARS}")
-    return text
-
-
-Name = Annotated[str, AfterValidator(_name)]
-
-
 class ParamGetParams(TargetsParams):
-    names: list[Name] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
+    names: list[ParamName] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
 
 
 class ParamSetParams(TargetsParams):
-    params: dict[Name, float] = Field(
+    params: dict[ParamName, float] = Field(
         min_length=1, max_length=MAX_NAMES, description="Values by name; set in this order, each read back."
     )
     settle: bool = Field(
@@ -69,7 +59,7 @@ class ParamSetParams(TargetsParams):
 
 
 class ParamMetadataParams(TargetsParams):
-    names: list[Name] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
+    names: list[ParamName] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
     read: bool = Field(
         False,
         description="Read the vehicle's file (some 70 kB) over a slow link, too.",
@@ -89,23 +79,6 @@ class ParamListParams(TargetsParams):
         description="Bandwidth for the answers, per vehicle; null: no limit.",
     )
     values: bool = Field(True, description="The answer has the values, not only the outcome.")
-
-
-class ParamResult(Result):
-    """How getting or setting one parameter ended."""
-
-    ok: bool
-    result: str = Field(
-        description="accepted, denied (the vehicle kept its value), changed (it took another one), unknown, timeout, "
-        "cancelled, lost or refused (by skygcs)."
-    )
-    message: str
-    name: str = Field(description="The vehicle's own name for it; another one than asked for in two generations.")
-    value: float | None = Field(description="The value that the vehicle reports; null: none reported, or no number.")
-    type: str | None = Field(description="MAV_PARAM_TYPE: REAL32, INT32, …")
-    before: float | None
-    attempts: int
-    elapsed_s: float
 
 
 class ParamResults(Result):
@@ -207,12 +180,13 @@ async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
     values: dict[str, Value] = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
 
     async def write(vehicle: VehicleActor) -> JsonObject:
-        refused = {} if params.force else vehicle.metadata.refusals(values)
+        metadata = vehicle.part(VehicleMetadata)
+        refused = {} if params.force else metadata.refusals(values)
         sent = {name: value for name, value in values.items() if name not in refused}
         outcomes = {name: ParamOutcome(False, "refused", why, name) for name, why in refused.items()}
         if sent:
             outcomes |= await vehicle.params.set(sent, settle=params.settle, force=params.force)
-        notes = vehicle.metadata.notes(sent)
+        notes = metadata.notes(sent)
         for name, outcome in outcomes.items():
             if outcome.ok and name in notes and outcome.param != outcome.before:
                 outcomes[name] = replace(outcome, message=f"{outcome.message}; {notes[name]}")
@@ -228,8 +202,9 @@ async def params_metadata(context: Context, params: ParamMetadataParams) -> Json
     """
 
     async def look_up(vehicle: VehicleActor) -> JsonObject:
-        source = await vehicle.metadata.read(insist=params.read)
-        known = vehicle.metadata.of(params.names)
+        metadata = vehicle.part(VehicleMetadata)
+        source = await metadata.read(insist=params.read)
+        known = metadata.of(params.names)
         return source | {"parameters": {name: _description(entry) for name, entry in known.items()}}
 
     return {"vehicles": await _each(context, params, look_up)}
@@ -323,129 +298,6 @@ async def _each(
     return {name: task.result() for name, task in tasks.items()}
 
 
-class PreflightParams(TargetsParams):
-    fix: bool = Field(
-        False,
-        description="Set the parameters that mend failed checks, and examine again; not on an armed vehicle, and "
-        "never a system id.",
-    )
-    confirmed: dict[str, dict[Name, float]] | None = Field(
-        None,
-        description="With fix: only these values, by vehicle's name, then by parameter's; null: all.",
-    )
-
-
-class PreflightFix(Result):
-    """A parameter that would mend a failed check."""
-
-    name: str
-    before: float
-    value: float
-
-
-class PreflightFinding(Result):
-    """One check's verdict."""
-
-    check: str = Field(description="What was checked; a parameter's name for those of the fleet file.")
-    verdict: Literal["pass", "fail", "unknown", "skipped"] = Field(
-        description="unknown is no pass; skipped: nothing is expected of it."
-    )
-    severity: Literal["danger", "fault", "note"] = Field(description="Of a failure.")
-    text: str = Field(description="What was found, with the figure and the limit.")
-    todo: str = Field(description="What to do about it.")
-    fixes: list[PreflightFix]
-
-
-class PreflightReport(Result):
-    """How ready one vehicle is."""
-
-    ok: bool
-    summary: str = Field(description="The worst of it in a line.")
-    sysid: int
-    autopilot: str = Field(description="Empty for a vehicle of the fleet file that was never heard.")
-    findings: list[PreflightFinding] = Field(description="In the order of the checks.")
-    fixes: list[PreflightFix] = Field(description="All of them, each parameter once.")
-    fixed: dict[str, ParamResult] = Field(description="What was set, and how that ended, by name.")
-    unfixed: str = Field(description="Why nothing was set although it was asked for; else empty.")
-
-
-class PreflightAnswer(Result):
-    ok: bool = Field(description="Whether every one of them is ready.")
-    vehicles: dict[str, PreflightReport] = Field(
-        description="By name, also those of the fleet file that have not been heard."
-    )
-
-
-class PreflightStatus(Result):
-    """Findings about a vehicle without asking it again."""
-
-    state: Literal["never", "failed", "passed", "expired"] = Field(description="never: not since it started.")
-    required: bool = Field(description="Whether it is armed only with a pass (require_preflight).")
-    age_s: float | None
-    valid_s: float | None = Field(description="How long its pass still lasts; null without one.")
-    refusal: str | None = Field(description="Why an order to arm would be refused here now; null: it would not.")
-    report: PreflightReport | None
-
-
-async def preflight_run(context: Context, params: PreflightParams) -> JsonObject:
-    """Examine vehicles before a flight (docs/howto/preflight.md); takes a few seconds a vehicle."""
-    reports: dict[str, Any] = await context.services.fleet.preflight(
-        params.targets, fix=params.fix, confirmed=params.confirmed
-    )
-    return {"ok": all(report["ok"] for report in reports.values()), "vehicles": reports}
-
-
-def preflight_status(context: Context, params: TargetsParams) -> JsonObject:
-    """The last preflight of each vehicle since it started, and whether it may be armed."""
-    return context.services.fleet.preflight_status(params.targets)
-
-
-class UndoParams(MethodParams):
-    id: str = Field(min_length=1, max_length=128, description="Of undo.list.")
-
-
-class UndoRunParams(UndoParams):
-    force: bool = Field(False, description="Although it is armed, or a parameter holds another value.")
-
-
-class UndoChange(Result):
-    """Parameters that a daemon changed temporarily and did not restore."""
-
-    id: str
-    vehicle: str
-    sysid: int
-    autopilot: str
-    what: str = Field(description="The order that changed them.")
-    began: str = Field(description="UTC.")
-    before: dict[str, float] = Field(description="Their values before, in the order in which they are restored.")
-    changed: dict[str, float] = Field(description="What they were set to.")
-
-
-class UndoLeft(Result):
-    changes: list[UndoChange]
-    problems: list[str] = Field(description="Files in the journal that cannot be read.")
-
-
-async def undo_list(context: Context, _: NoParams) -> JsonObject:
-    """Changes of parameters that could not be undone."""
-    return await context.services.fleet.undo.left()
-
-
-async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
-    """Undo one of them, and read the parameters back.
-
-    Without force refused while armed, and where a parameter holds neither the old nor the changed value.
-    """
-    outcome = await context.services.fleet.undo.run(params.id, force=params.force)
-    return {"outcomes": {params.id: outcome.as_dict()}}
-
-
-async def undo_drop(context: Context, params: UndoParams) -> JsonObject:
-    """Forget one of these changes; the parameters stay as they are."""
-    await context.services.fleet.undo.drop(params.id)
-    return {"dropped": params.id}
-
-
 _TARGET = (error_codes.TARGET_ERROR,)
 
 
@@ -459,14 +311,6 @@ METHODS: tuple[Method[Context], ...] = (
 )
 
 
-PREFLIGHT: tuple[Method[Context], ...] = (
-    Method("preflight.run", PreflightParams, preflight_run, PreflightAnswer, _TARGET),
-    Method("preflight.status", TargetsParams, preflight_status, dict[str, PreflightStatus], _TARGET),
-)
-
-
-UNDO: tuple[Method[Context], ...] = (
-    Method("undo.list", NoParams, undo_list, UndoLeft, reach="nothing"),
-    Method("undo.run", UndoRunParams, undo_run, Outcomes, (error_codes.REFUSED,), reach="fleet"),
-    Method("undo.drop", UndoParams, undo_drop, dict[str, str], (error_codes.REFUSED,), reach="nothing"),
-)
+class Params(Extension[NoTable]):
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.protocols.base import Chunk, Effect, Send
-from skygcs.core.protocols.onboard_log import (
+from skygcs.ext.onboard_logs.log_protocol import (
     BLOCK_BYTES,
     CHUNK_BLOCKS,
     TRIES,

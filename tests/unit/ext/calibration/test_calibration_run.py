@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.vehicle.calibration import CANCEL_S, SILENCE_S, Sensor
+from skygcs.ext.calibration.calibration_run import CalibrationRun
+from skygcs.ext.calibration.methods import calibrate, cancel_calibration, confirm_pose
+from skygcs.ext.calibration.sensor_calibration import CANCEL_S, SILENCE_S, Sensor
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.vehicle import SimVehicle
 from support.sim_field import SimField
@@ -48,9 +50,9 @@ async def test_one_calibration_right_after_another_and_no_reboot_is_reported(px4
         await asyncio.sleep(40.0)
         for sensor in (Sensor.GYRO, Sensor.LEVEL, Sensor.COMPASS):
             begun = len(field.events)
-            outcome = await field.actor.calibrate(sensor)
+            outcome = await calibrate(field.actor, sensor=sensor)
             assert outcome.ok, outcome
-            assert field.actor.calibration.status() is None
+            assert field.actor.part(CalibrationRun).status() is None
             if px4 or sensor is Sensor.COMPASS:
                 told = [event.data["percent"] for event in field.events[begun:] if event.kind == "calibration"]
                 percents = [percent for percent in told if percent is not None]
@@ -60,7 +62,7 @@ async def test_one_calibration_right_after_another_and_no_reboot_is_reported(px4
 
 async def test_a_px4_finds_its_six_poses_by_itself() -> None:
     async with Field(px4=True) as field:
-        assert (await field.actor.calibrate(Sensor.ACCEL)).ok
+        assert (await calibrate(field.actor, sensor=Sensor.ACCEL)).ok
         poses = list(dict.fromkeys(data["pose"] for data in field.progress() if data["pose"]))
         assert sorted(poses) == ["left", "level", "nose_down", "nose_up", "right", "upside_down"]
         assert not any(data["confirm"] for data in field.progress())
@@ -71,53 +73,53 @@ async def test_a_px4_finds_its_six_poses_by_itself() -> None:
 async def test_a_px4_that_nobody_turns_reports_its_own_reason() -> None:
     async with Field(px4=True) as field:
         field.simulated.turned_by_hand = False
-        outcome = await field.actor.calibrate(Sensor.ACCEL)
+        outcome = await calibrate(field.actor, sensor=Sensor.ACCEL)
         assert (outcome.result, outcome.message) == ("failed", "failed: timeout: no motion")
 
 
 async def test_an_arducopter_waits_for_each_pose_until_it_is_confirmed() -> None:
     async with Field(px4=False) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.ACCEL))
         asked = []
         while not run.done():
             await asyncio.sleep(0.5)
-            status = field.actor.calibration.status()
+            status = field.actor.part(CalibrationRun).status()
             if status is not None and status["confirm"]:
                 asked.append(status["pose"])
-                assert (await field.actor.confirm_pose()).ok
+                assert (await confirm_pose(field.actor)).ok
         assert asked == ["level", "left", "right", "nose_down", "nose_up", "upside_down"]
         assert (await run).ok
         assert [p[0] for command, p in field.sent if command == 42429] == [1, 2, 3, 4, 5, 6]
         # the end that it repeats is not taken for the next one's
-        again = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        again = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.ACCEL))
         await asyncio.sleep(5.0)
-        assert not again.done() and field.actor.calibration.status()["confirm"]
+        assert not again.done() and field.actor.part(CalibrationRun).status()["confirm"]
         again.cancel()
 
 
 async def test_a_pose_that_was_not_taken_is_asked_for_again() -> None:
     async with Field(px4=False) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.ACCEL))
         await asyncio.sleep(5.0)
         field.simulated.calibration.position = 3  # it is at another step by now
-        assert not (await field.actor.confirm_pose()).ok
-        assert field.actor.calibration.status()["confirm"]
+        assert not (await confirm_pose(field.actor)).ok
+        assert field.actor.part(CalibrationRun).status()["confirm"]
         run.cancel()
 
 
 @FIRMWARES
 async def test_what_does_not_fit_is_refused(px4: bool) -> None:
     async with Field(px4) as field:
-        for order in (field.actor.confirm_pose, field.actor.cancel_calibration):
-            assert (await order()).message == "refused: it is not being calibrated"
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        for order in (confirm_pose, cancel_calibration):
+            assert (await order(field.actor)).message == "refused: it is not being calibrated"
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.COMPASS))
         await asyncio.sleep(2.0)
-        assert (await field.actor.calibrate(Sensor.GYRO)).message == "refused: its compass is being calibrated"
+        assert (await calibrate(field.actor, sensor=Sensor.GYRO)).message == "refused: its compass is being calibrated"
         assert (await run).ok
         await asyncio.sleep(15.0)
         assert (await field.actor.arm(force=True)).ok
         field.sent.clear()
-        outcome = await field.actor.calibrate(Sensor.GYRO)
+        outcome = await calibrate(field.actor, sensor=Sensor.GYRO)
         assert outcome.result == "refused" and "armed" in outcome.message
         assert not field.sent
 
@@ -127,21 +129,21 @@ async def test_an_order_a_client_that_goes_and_the_end_of_the_daemon_cancel_it(p
     async with Field(px4) as field:
 
         async def ordered(run: asyncio.Future[Any]) -> None:
-            assert (await field.actor.cancel_calibration()).ok
+            assert (await cancel_calibration(field.actor)).ok
             assert (await run).result == "cancelled"
 
         async def gone(run: asyncio.Future[Any]) -> None:
             run.cancel()
             await asyncio.gather(run, return_exceptions=True)
             await asyncio.sleep(2.0)
-            assert field.actor.calibration.status() is None
+            assert field.actor.part(CalibrationRun).status() is None
 
         async def ended(run: asyncio.Future[Any]) -> None:
             await field.actor.wind_down()
             assert (await run).result == "cancelled"
 
         for end in (ordered, gone, ended):
-            run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+            run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.COMPASS))
             await asyncio.sleep(4.0)
             assert field.simulated.calibration is not None, end
             await end(run)
@@ -150,7 +152,7 @@ async def test_an_order_a_client_that_goes_and_the_end_of_the_daemon_cancel_it(p
 
 async def test_a_px4_whose_last_text_is_lost_is_seen_to_have_ended() -> None:
     async with Field(px4=True) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.GYRO))
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.GYRO))
         await asyncio.sleep(1.7)
         field.simulated.calibration.script = iter(())  # it says nothing more
         outcome = await run
@@ -160,7 +162,7 @@ async def test_a_px4_whose_last_text_is_lost_is_seen_to_have_ended() -> None:
 
 async def test_a_vehicle_that_says_nothing_more_is_not_waited_for_for_ever() -> None:
     async with Field(px4=False) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.COMPASS))
         await asyncio.sleep(4.0)
         field.simulated.calibration.script = iter([10_000.0])
         began = field.loop.time()
@@ -170,10 +172,10 @@ async def test_a_vehicle_that_says_nothing_more_is_not_waited_for_for_ever() -> 
 
 async def test_a_px4_that_does_not_confirm_a_cancellation_is_given_up() -> None:
     async with Field(px4=True) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.ACCEL))
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.ACCEL))
         await asyncio.sleep(3.0)
         field.simulated.tx.say = lambda severity, text: None  # type: ignore[method-assign]
-        assert (await field.actor.cancel_calibration()).ok
+        assert (await cancel_calibration(field.actor)).ok
         outcome = await run
         assert outcome.result == "cancelled" and "did not confirm" in outcome.message
         assert CANCEL_S < outcome.elapsed_s < 20.0
@@ -182,7 +184,7 @@ async def test_a_px4_that_does_not_confirm_a_cancellation_is_given_up() -> None:
 @FIRMWARES
 async def test_a_lost_or_rebooted_vehicle_ends_it(px4: bool) -> None:
     async with Field(px4) as field:
-        run = asyncio.ensure_future(field.actor.calibrate(Sensor.COMPASS))
+        run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.COMPASS))
         await asyncio.sleep(3.0)
         field.simulated.reboot(field.loop.time())
         assert (await asyncio.wait_for(run, 60.0)).result == "lost"

@@ -1,13 +1,18 @@
-"""The methods of message signing. `METHODS` is their part of the table. No key is sent over RPC, only its file name."""
+"""The methods of message signing, and the extension that has them: it is made when one of them is first called. No key
+is sent over RPC, only its file name."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import cast
 
 from pydantic import Field
 
+from skygcs.ext.signing.signing_setup import SigningSetup
+from skygcs.extension import Extension, NoTable
 from skygcs.rpc import error_codes
-from skygcs.rpc.context import Context, JsonObject, as_json
+from skygcs.rpc.context import Context, JsonObject, Services, as_json
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
 
@@ -80,13 +85,13 @@ async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObj
         raise InvalidParams(("key_file", "holds a NUL character"))
     if not path.is_absolute():
         raise InvalidParams(("key_file", "must be an absolute path: the daemon runs in another folder"))
-    setup = context.services.signing_setup.setup
+    setup = _setup_of(context).setup
     return as_json(await setup(params.targets, path, force=params.force, reports=context.reports))
 
 
 async def signing_off(context: Context, params: TargetsParams) -> JsonObject:
     """Have vehicles forget their signing key; not while armed."""
-    return as_json(await context.services.signing_setup.off(params.targets, reports=context.reports))
+    return as_json(await _setup_of(context).off(params.targets, reports=context.reports))
 
 
 def signing_status(context: Context, _: NoParams) -> JsonObject:
@@ -99,7 +104,11 @@ def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObj
 
     Vehicles that have followed the later time need their key again over a cable (signing.setup).
     """
-    return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
+    return {"message": _setup_of(context).reset_clock(params.key_id, force=params.force)}
+
+
+def _setup_of(context: Context) -> SigningSetup:
+    return cast("SigningMethods", context.services.extensions["signing"]).setup
 
 
 _REPORTED = (error_codes.TARGET_ERROR, error_codes.REFUSED)
@@ -111,3 +120,12 @@ METHODS: tuple[Method[Context], ...] = (
     Method("signing.reset_clock", SigningResetParams, signing_reset_clock, SigningReset, (error_codes.REFUSED,)),
     Method("signing.off", TargetsParams, signing_off, Outcomes, _REPORTED),
 )
+
+
+class SigningMethods(Extension[NoTable]):
+    def __init__(self, core: Services, config: NoTable) -> None:
+        super().__init__(core, config)
+        self.setup = SigningSetup(core)
+
+    def methods(self) -> Iterable[Method[Context]]:
+        return METHODS

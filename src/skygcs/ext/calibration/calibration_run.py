@@ -1,4 +1,4 @@
-"""Runs the calibrations of one vehicle (`core.vehicle.calibration`): sends its commands, gives it what the vehicle
+"""Runs the calibrations of one vehicle (`sensor_calibration`): sends its commands, gives it what the vehicle
 says, and publishes each change as an event of kind "calibration". One at a time per vehicle."""
 
 from __future__ import annotations
@@ -8,11 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_LONG, MAG_CAL_PROGRESS, MAG_CAL_REPORT
 from skygcs.core.protocols.command import RETRY_TIMERS_S, CommandSpec, Outcome
-from skygcs.core.vehicle.calibration import (
+from skygcs.core.vehicle.gate import standing
+from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.ext.calibration.sensor_calibration import (
     BLOCKING_TIMERS_S,
     Calibration,
     CalibrationStatus,
@@ -20,19 +22,13 @@ from skygcs.core.vehicle.calibration import (
     check_calibration,
     reader_of,
 )
-from skygcs.core.vehicle.gate import standing
-from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError
-from skygcs.events import Event
-from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.loop_clock import DeadlineTimer
 from skygcs.runtime.order_runner import duplicate_refusal
 from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import VehiclePart
 
 CALIBRATE = standing("calibrate")
-
-MESSAGES = frozenset({COMMAND_LONG, MAG_CAL_PROGRESS, MAG_CAL_REPORT})
-"""Ids of the messages that `on_frame` needs."""
 
 COMPASS_INTERVAL_US = 500_000.0
 """An ArduCopter streams the progress of a compass only where a station has asked for it, by SR_EXTRA3 or by itself."""
@@ -43,23 +39,17 @@ BUSY_TRIES, BUSY_S = 3, 1.0
 KIND = "calibration"
 
 
-class CalibrationRun:
+class CalibrationRun(VehiclePart):
     """Calibration of one vehicle's sensors. The coroutines are orders: they return an outcome and do not raise."""
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        commands: CommandClient,
-        dialect: Dialect,
-        loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
-    ) -> None:
-        self._vehicle = vehicle
-        self._commands = commands
-        self._dialect = dialect
-        self._loop = loop
-        self._on_event = on_event
-        self._tasks = TaskSet(loop, on_event, vehicle.name, vehicle.sysid)
+    messages = frozenset({COMMAND_LONG, MAG_CAL_PROGRESS, MAG_CAL_REPORT})
+
+    def __init__(self, actor: VehicleActor) -> None:
+        self._vehicle = vehicle = actor.vehicle
+        self._commands = actor.commands
+        self._loop = loop = actor.services.loop
+        self._on_event = actor.services.on_event
+        self._tasks = TaskSet(loop, self._on_event, vehicle.name, vehicle.sysid)
         self._timer = DeadlineTimer(loop, self._on_timer)
         self._calibration: Calibration | None = None
         self._readers: dict[str, Callable[[dict[str, Any], float], None]] = {}
@@ -154,24 +144,22 @@ class CalibrationRun:
             self._changed()
 
     def tick(self, now: float) -> None:
-        """Called about once a second."""
         if self._calibration is not None:
             self._calibration.on_heartbeat(self._vehicle.system_status, now)
             self._changed()
 
-    def stop(self, text: str) -> None:
-        """End the run: the vehicle was lost or has rebooted."""
+    def stop(self, result: str, text: str) -> None:
         if self._calibration is not None:
             self._calibration.on_lost(text, self._loop.time())
             self._changed()
 
     async def wind_down(self) -> None:
-        """The daemon ends: cancel the calibration that runs, and wait until the vehicle has been sent that."""
+        """Cancel the calibration that runs, and wait until the vehicle has been sent that."""
         if self._calibration is not None:
             await self.cancel()
         await self._tasks.settled()
 
-    def close(self) -> None:
+    def close(self, reason: str) -> None:
         self._timer.set(None)
         self._tasks.close()
 

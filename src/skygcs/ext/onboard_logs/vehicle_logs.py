@@ -1,6 +1,6 @@
 """The onboard logs of one vehicle: lists them, and writes them to the daemon's log folder, resuming what is there.
 
-The protocol is `core.protocols.onboard_log`; here it meets the link and the disk. Chunks are written by a thread,
+The protocol is `log_protocol`; here it meets the link and the disk. Chunks are written by a thread,
 because a slow card can block for seconds.
 """
 
@@ -23,14 +23,14 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import LOG_DATA, LOG_ENTRY
 from skygcs.core.protocols.base import Chunk, Effect, ProgressReport, Send
 from skygcs.core.protocols.command import Outcome
-from skygcs.core.protocols.onboard_log import BLOCK_BYTES, LogInfo, LogOutcome, OnboardLogDownload, OnboardLogList
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.gate import standing
-from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.disk_writer import WriterThread
 from skygcs.events import Event
+from skygcs.ext.onboard_logs.log_protocol import BLOCK_BYTES, LogInfo, LogOutcome, OnboardLogDownload, OnboardLogList
 from skygcs.runtime.loop_clock import DeadlineTimer
-from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
+from skygcs.runtime.vehicle_services import VehiclePart
 
 LOGS = standing("logs")
 
@@ -97,12 +97,14 @@ class LogsOutcome:
         }
 
 
-class VehicleLogs:
+class VehicleLogs(VehiclePart):
     """Onboard logs of one vehicle, one transfer at a time. Failures are outcomes, not exceptions."""
 
-    def __init__(self, vehicle: Vehicle, services: VehicleServices) -> None:
-        self._vehicle = vehicle
-        self._services = services
+    messages = frozenset({LOG_ENTRY, LOG_DATA})
+
+    def __init__(self, actor: VehicleActor) -> None:
+        self._vehicle = actor.vehicle
+        services = self._services = actor.services
         self._loop = services.loop
         self._able = all(name in services.dialect.by_name for name in NEEDED)
         self._machine: OnboardLogList | OnboardLogDownload | None = None
@@ -118,7 +120,6 @@ class VehicleLogs:
     # -- what the actor calls
 
     def on_frame(self, frame: Frame, now: float) -> None:
-        """A LOG_ENTRY or LOG_DATA of this vehicle. Never raises."""
         machine = self._machine
         if machine is None or frame.info is None:
             return
@@ -132,10 +133,18 @@ class VehicleLogs:
             info = LogInfo(int(values["id"]), int(values["size"]), int(values["time_utc"]))
             self._apply(machine.on_entry(info, int(values["num_logs"]), now))
 
-    def stop(self, result: str, message: str) -> None:
-        """End the transfer in progress."""
+    def on_armed(self) -> None:
+        self.stop("cancelled", "it was armed; the same command goes on when it is disarmed")
+
+    def stop(self, result: str, text: str) -> None:
         if self._machine is not None:
-            self._apply(self._machine.stop(self._loop.time(), result, message))
+            self._apply(self._machine.stop(self._loop.time(), result, text))
+
+    async def wind_down(self) -> None:
+        self.stop("cancelled", SHUTDOWN)
+
+    def close(self, reason: str) -> None:
+        self.stop("cancelled", reason)
 
     # -- orders
 

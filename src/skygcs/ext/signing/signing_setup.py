@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
-from collections.abc import Callable
 from pathlib import Path
 
 from skygcs.config.models import (
@@ -33,10 +32,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import Channel
-from skygcs.runtime.fleet import Fleet
+from skygcs.rpc.context import Services
 from skygcs.runtime.fleet_orders import Reports, Unreported
-from skygcs.runtime.hub import Hub
-from skygcs.runtime.signing_keys import Signing
 
 SIGNING = standing("signing")
 
@@ -51,21 +48,14 @@ RADIO_KEY = RADIO_SOURCE[0] << 8 | RADIO_SOURCE[1]
 
 
 class SigningSetup:
-    """`setup` and `off` serve the RPC; outcomes are reported to ``on_event``, without the key."""
+    """`setup` and `off` serve the RPC; outcomes are events, without the key."""
 
-    def __init__(
-        self,
-        hub: Hub,
-        fleet: Fleet,
-        signing: Signing,
-        loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
-    ) -> None:
-        self._hub = hub
-        self._fleet = fleet
-        self._signing = signing
-        self._loop = loop
-        self._on_event = on_event
+    def __init__(self, core: Services) -> None:
+        self._hub = core.hub
+        self._fleet = core.fleet
+        self._signing = core.signing
+        self._now = core.now
+        self._on_event = core.event_log.publish
 
     async def setup(
         self, targets: str | list[str], key_file: Path, *, force: bool = False, reports: Reports | None = None
@@ -80,7 +70,7 @@ class SigningSetup:
     def reset_clock(self, wanted: str, *, force: bool = False) -> str:
         """See `Signing.reset_clock`. Without ``force`` it also raises RefusedError while a vehicle may be in use."""
         self._fleet.locks.require(SigningClockReset())
-        now = self._loop.time()
+        now = self._now()
         used = [a.name for a in self._fleet.vehicles.values() if a.vehicle.connected and why_not_idle(a.vehicle, now)]
         if used and not force:
             raise RefusedError(
@@ -107,11 +97,11 @@ class SigningSetup:
     async def _report_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
         what = "signing off" if key is None else f"signing setup (key {key_id(key)})"
         try:
-            require_connected(vehicle, self._loop.time())
+            require_connected(vehicle, self._now())
             gates = self._hub.send_gates
             if gates is not None and (why := gates.refusal(vehicle.sysid, self._hub.boot_clock())) is not None:
                 raise RefusedError(why)
-            if (why := why_not_idle(vehicle, self._loop.time())) is not None:
+            if (why := why_not_idle(vehicle, self._now())) is not None:
                 raise RefusedError(f"{why}: {ONLY_DISARMED}")
             if key is not None and not force and self._signing.is_pinned(key):
                 raise RefusedError(f"{self._signing.pinned_text(key)}, or insist with force (--force)")
@@ -178,7 +168,7 @@ class SigningSetup:
         info = self._hub.dialect.messages.get(SETUP_SIGNING)
         if info is None:
             return Outcome(False, "unsupported", f"the dialect {self._hub.dialect.name} has no SETUP_SIGNING")
-        began = self._loop.time()
+        began = self._now()
         shown = asyncio.Event()
         texts: list[str] = []
 
@@ -194,9 +184,9 @@ class SigningSetup:
         values = {"target_system": vehicle.sysid, "target_component": vehicle.compid, "secret_key": [0] * KEY_BYTES}
         # send, and check the vehicle's signatures
         for number in range(1, TRIES + 1):
-            if (why := why_not_idle(vehicle, self._loop.time())) is not None:
+            if (why := why_not_idle(vehicle, self._now())) is not None:
                 refusal = f"refused: {why}: {ONLY_DISARMED}"
-                return Outcome(False, "refused", refusal, number - 1, self._loop.time() - began)
+                return Outcome(False, "refused", refusal, number - 1, self._now() - began)
             if key is not None:
                 values |= {"secret_key": list(key), "initial_timestamp": self._signing.stamp(key)}
             shown.clear()
@@ -214,14 +204,14 @@ class SigningSetup:
             message = (
                 "it no longer signs" if key is None else f"it signs with key {key_id(key)}{self._left(vehicle, key)}"
             )
-            return Outcome(True, "accepted", message, number, self._loop.time() - began, tuple(texts))
+            return Outcome(True, "accepted", message, number, self._now() - began, tuple(texts))
         # no answer
         if key is None:
             why = "it still signs; it accepts this only over a link that signs with its key (or, ArduPilot, over USB)"
         else:
             why = "none of its frames was signed with this key; not every firmware can sign (PX4 1.16 cannot)"
             why += ", and a vehicle with another key accepts a new one only over a link that signs with the old one"
-        return Outcome(False, "timeout", why, TRIES, self._loop.time() - began, tuple(texts))
+        return Outcome(False, "timeout", why, TRIES, self._now() - began, tuple(texts))
 
     def _left(self, vehicle: Vehicle, key: bytes) -> str:
         """Return what remains to be changed on our links to the vehicle."""

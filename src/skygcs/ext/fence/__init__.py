@@ -1,0 +1,1 @@
+"""The fence that an autopilot keeps in parameters: set, read, and tested on foot."""

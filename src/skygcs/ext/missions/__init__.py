@@ -1,0 +1,1 @@
+"""Missions, fences and rally points of autopilots: plans up and down, and missions in flight."""

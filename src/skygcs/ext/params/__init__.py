@@ -1,0 +1,1 @@
+"""Parameters of vehicles: read, set, listed, and what they mean."""

@@ -1,0 +1,1 @@
+"""Timed trajectories of single vehicles, as the methods of clients."""

@@ -1,0 +1,1 @@
+"""Changes of parameters that were left in a vehicle: undone on request."""
