@@ -11,8 +11,6 @@ import random
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
-import pytest
-
 VARIABLE = "SKYGCS_TEST_EXAMPLES"
 """Environment variable with the multiple of Hypothesis examples: 10 in `make test-deep`, 100 in its nightly run; `make
 test` does not set it."""
@@ -32,11 +30,6 @@ SHARE = 4
 CASES = 1
 """Cases of a parametrised flight of a whole daemon in `make test`, another one of each flight. `make test-deep` flies
 each value of each parameter (`each_value`), its nightly run all combinations."""
-
-covered_by_other_flights = pytest.mark.deep
-"""A flight of a whole daemon that `make test-deep` flies: of the 51,600 branches that such flights take it adds fewer
-than 8 to those of others, which `make test` flies (contexts of coverage, a greedy choice by branches for each second,
-November 2026). Stops, shutdowns, the dead man and what nobody attends are flown by `make test` all the same."""
 
 SEEDS_APART = 1_000_003
 """Between two offsets: the tests' own seeds are small numbers in a row, and would be each other's."""
