@@ -114,7 +114,7 @@ AGAIN = pytest.mark.deep  # seconds of each: minutes of packets, one after the o
 
 
 @pytest.mark.parametrize("air", AIRS.values(), ids=AIRS.keys())
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=AGAIN)])
+@pytest.mark.parametrize("seed", [1, pytest.param(4_000_014, marks=AGAIN)])  # most of its first frames are lost
 def test_altered_timing_is_recovered_within_5_percent(air: Air, seed: int) -> None:
     found = timing(air, seed)
     # expected: closed forms
