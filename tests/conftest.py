@@ -52,11 +52,14 @@ dialects.load_dialect = _dialect_once
 import skygcs.rpc.methods  # noqa: E402
 import skygcs.rpc.sessions  # noqa: E402, F401 - as below
 from skygcs.config.extension_tables import on_demand  # noqa: E402
-from support.examples import each_value, examples, flown_cases, is_deep, searches  # noqa: E402
+from support.examples import each_value, examples, flown_cases, is_deep, searches, shift_seeds  # noqa: E402
 from support.file_costs import FileCosts  # noqa: E402
 from support.passed_before import PassedBefore, left_to_run  # noqa: E402
-from support.virtual_asyncio import VirtualAsyncio  # noqa: E402
+from support.virtual_asyncio import VirtualAsyncio, count_work  # noqa: E402
 from support.virtual_uvloop import VirtualUvloop  # noqa: E402
+
+shift_seeds()
+count_work()
 
 settings.register_profile(
     "suite",

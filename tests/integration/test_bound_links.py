@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mavlink.frame import Frame
 from skygcs.errors import ConfigError, LinkError, RefusedError
 from support.daemons import memory_link
-from support.examples import covered_by_other_flights
 from support.on_air import OnAir, on_air
 from support.pymav import PymavPeer
 
@@ -144,7 +143,7 @@ async def test_a_script_may_ask_before_it_has_heard_anybody(tmp_path: Path) -> N
         assert program.counters["retargeted"] >= 1
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_who_reaches_for_another_vehicle_is_told_once_and_reaches_nobody(tmp_path: Path) -> None:
     async with on_air(tmp_path, **RADIO) as air:
         heard = overhear(air)

@@ -17,7 +17,6 @@ from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.daemons import memory_link
-from support.examples import covered_by_other_flights
 from support.flown import SETPOINTS
 from support.pymav import PymavPeer
 
@@ -135,7 +134,7 @@ async def test_heartbeats_of_the_ground_count_while_its_calls_do_not_come(tmp_pa
         assert pair.control()["state"] == "off"
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_another_station_with_the_ids_of_the_ground_is_not_the_ground(tmp_path: Path) -> None:
     """Every station is 255/25 by default; one that came to the companion over a radio kept it flying for ever."""
     async with companion_pair(tmp_path, engaged="position") as pair:
@@ -150,7 +149,7 @@ async def test_another_station_with_the_ids_of_the_ground_is_not_the_ground(tmp_
         await pair.until(lambda: mode(pair) in RETURNING, 5.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: dict[str, Any]) -> None:
     """The ground still hears the vehicle, over a radio: left to the wind it was 324 m away after 60 s."""
@@ -182,7 +181,7 @@ async def test_without_the_companion_the_ground_holds_it(tmp_path: Path, kind: d
         await pair.until(lambda: mode(pair) in LANDING, 10.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize("which", ["companion", "ground", "both"])
 async def test_after_a_restart_somebody_flies_it_or_it_holds(tmp_path: Path, which: str) -> None:
     """Flown by attitude in wind; killed for 2 s are the companion, the ground, or both at once."""
@@ -212,7 +211,7 @@ async def test_after_a_restart_somebody_flies_it_or_it_holds(tmp_path: Path, whi
             assert pair.pi.farthest_m(begun + 2.0) < 8.0
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_the_pilot_takes_it_and_nobody_takes_it_back(tmp_path: Path, kind: dict[str, Any]) -> None:
     async with companion_pair(tmp_path, engaged="position", **kind) as pair:
@@ -244,18 +243,6 @@ async def test_a_lost_answer_is_asked_for_again_and_the_order_carried_out_once(t
         assert len(asked) >= 3 and len({given["number"] for given in asked}) == 1
         engaged = [t for t in pair.pi.told if t.kind == "command" and t.text.startswith("control:")]
         assert len(engaged) == 1
-
-
-@covered_by_other_flights
-async def test_an_order_without_any_answer_has_an_unknown_outcome(tmp_path: Path) -> None:
-    async with companion_pair(tmp_path, engaged="position") as pair:
-        pair.calls.lose_answer = lambda method, given: given.get("order") == "goto"
-        outcome = await pair.outcome("vehicles.goto", enu_m=[3.0, 0.0, 10.0])
-        assert not outcome["ok"] and "not known" in outcome["message"], outcome
-        await asyncio.sleep(8)
-        assert pair.pi.place()[0] == pytest.approx(3.0, abs=0.4), "it was carried out"
-        numbers = {g["number"] for _, g in pair.calls.calls if g.get("order") == "goto"}
-        assert len(numbers) == 1
 
 
 @pytest.mark.deep  # two daemons for the sake of one order of calls

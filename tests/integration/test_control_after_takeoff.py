@@ -7,25 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.firmware_modes import Px4Mode
-from support.examples import covered_by_other_flights
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime
-
-
-@covered_by_other_flights
-@pytest.mark.parametrize("left_m", [0.3, 1.0, 1.5, 2.0])
-async def test_the_end_of_the_takeoff_is_no_other_program(tmp_path: Path, left_m: float) -> None:
-    async with flown(tmp_path, takeoff=False) as gcs:
-        await gcs.done("vehicles.takeoff", targets="v1", height_m=8.0, wait_s=60.0)
-        await gcs.until(lambda: gcs.sim().motion.up_m > 8.0 - left_m, 60.0)
-        if left_m > 0.5:
-            assert gcs.sim().mode == Px4Mode.TAKEOFF
-        outcome = await gcs.outcome("control.set", mode="position")
-        assert outcome["ok"], outcome
-        await asyncio.sleep(3)
-        assert gcs.sim().mode == Px4Mode.OFFBOARD
 
 
 async def test_another_program_is_still_one(tmp_path: Path) -> None:

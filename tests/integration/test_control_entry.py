@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.radio_link.transmit_queue import TxQueue
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.examples import covered_by_other_flights
 from support.flown import HOLDING, Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -131,7 +130,7 @@ async def test_the_stream_does_not_get_through(tmp_path: Path, monkeypatch: pyte
         assert sim.mode == Px4Mode.LOITER
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_landing_of_all_by_broadcast_ends_control_of_all(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=1, ardupilot=2) as gcs:
         await gcs.fly("attitude", targets="all")

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -59,7 +58,7 @@ async def beyond_m(
         return fast, max(sign * (look.pos_m[axis] - goal[axis]) for look in gcs.truth[1] if look.at >= fault)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("step", STEPS, ids=lambda s: f"{s[0]:g} m {'up' if s[2] else 'east'} at {s[1]:g}")
 async def test_attitude_builds_up_no_more_than_can_be_stopped(
@@ -68,24 +67,6 @@ async def test_attitude_builds_up_no_more_than_can_be_stopped(
     """It used to go 14 m beyond 8 m, and 10 m beyond a climb of 8 m."""
     fast, beyond = await beyond_m(tmp_path, kind, step)
     assert beyond <= allowed_m(fast)
-
-
-@covered_by_other_flights
-@KINDS
-async def test_a_step_by_velocity_is_braked_before_its_goal(tmp_path: Path, kind: dict[str, int]) -> None:
-    """An ArduCopter, which brakes with 2.5 m/s², used to go 2.8 m beyond without any fault, and 6 m with it."""
-    _, beyond = await beyond_m(tmp_path, kind, (8.0, None, EAST), "velocity")
-    assert beyond < 0.9
-    fast, beyond = await beyond_m(tmp_path / "slow", kind, (8.0, 2.5, EAST), "velocity")
-    assert beyond <= allowed_m(fast)
-
-
-@covered_by_other_flights
-async def test_without_the_limit_it_goes_far_beyond(tmp_path: Path) -> None:
-    """The simulated ArduCopter shows what the real one did: 12 m."""
-    limits = {"acc_xy_max_mps2": 100.0, "acc_z_max_mps2": 100.0}
-    _, beyond = await beyond_m(tmp_path, {"px4": 0, "ardupilot": 1}, (8.0, 1.8, EAST), **limits)
-    assert beyond > 5.0
 
 
 @KINDS

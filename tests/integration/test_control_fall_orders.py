@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 from support.virtual_uvloop import VirtualUvloop
 
@@ -42,49 +41,7 @@ async def falling(gcs: Flown) -> float:
     return await gcs.until(lambda: gcs.control()["control_mode"] != "attitude", 5.0)
 
 
-@covered_by_other_flights
-@KINDS
-@MOMENTS
-def test_switched_off_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
-    async def scenario(gcs: Flown) -> None:
-        await falling(gcs)
-        await asyncio.sleep(after_s)
-        await gcs("control.set", targets="v1", mode="off")
-        await asyncio.sleep(5.0)
-        off = gcs.now
-        await asyncio.sleep(10.0)
-        assert gcs.control()["state"] == "off" and not gcs.setpoints(off)
-        assert gcs.is_safe()
-
-    fly(tmp_path, kind, scenario)
-
-
-@covered_by_other_flights
-@KINDS
-@MOMENTS
-def test_ordered_again_and_again_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
-    async def scenario(gcs: Flown) -> None:
-        await falling(gcs)
-        await asyncio.sleep(after_s)
-        orders = [
-            asyncio.ensure_future(gcs("control.set", targets="v1", mode=mode))
-            for mode in ("velocity", "attitude", "off", "position", "attitude", "velocity")
-        ]
-        await asyncio.gather(*orders)
-        gcs.uplink_delay_s = 0.0
-        await asyncio.sleep(25.0)
-        assert gcs.control()["state"] in ("flying", "off")
-        if gcs.control()["state"] == "flying":
-            assert gcs.control()["control_mode"] in ("velocity", "position")
-        quiet = gcs.now
-        await asyncio.sleep(3.0)
-        names = {s.name for s in gcs.setpoints(quiet)}
-        assert "SET_ATTITUDE_TARGET" not in names, "no attitude is left over from the fall"
-
-    fly(tmp_path, kind, scenario)
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @MOMENTS
 def test_a_pilot_takes_it_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
@@ -107,7 +64,7 @@ def test_a_pilot_takes_it_while_it_falls(tmp_path: Path, kind: dict[str, int], a
     fly(tmp_path, kind, scenario)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @MOMENTS
 def test_sigterm_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: float) -> None:
@@ -117,25 +74,6 @@ def test_sigterm_while_it_falls(tmp_path: Path, kind: dict[str, int], after_s: f
         await asyncio.sleep(after_s)
         await gcs.stopped(within_s=8.0)
         await gcs.ends_safe(within_m=14.0, since=fell, of=start)
-
-    fly(tmp_path, kind, scenario)
-
-
-@covered_by_other_flights
-@KINDS
-def test_an_uplink_that_swings_about_the_limit_changes_the_mode_once(tmp_path: Path, kind: dict[str, int]) -> None:
-    """60 s, there and back every 0.7 s: 0.03 s is flown, 0.12 s is not."""
-
-    async def scenario(gcs: Flown) -> None:
-        await gcs.fly("attitude")
-        await asyncio.sleep(6.0)
-        start, began = gcs.place(), gcs.now
-        while gcs.now < began + 60.0:
-            gcs.uplink_delay_s = 0.12 if gcs.uplink_delay_s < 0.1 else 0.03
-            await asyncio.sleep(0.7)
-        changes = [text for text in gcs.texts(began) if text.startswith("flown by")]
-        assert 1 <= len(changes) <= 2, changes
-        assert gcs.farthest_m(began, of=start) < 1.0
 
     fly(tmp_path, kind, scenario)
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from skygcs.core.vehicle.order_ledger import ClientIdentity
-from skygcs.errors import RefusedError
-from support.examples import covered_by_other_flights
-from support.flown import FIELD, Flown, aloft
+from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -21,20 +18,6 @@ KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}]
 
 def thrusts(gcs: Flown, since: float) -> list[float]:
     return [float(s.values["thrust"]) for s in gcs.setpoints(since) if s.name == "SET_ATTITUDE_TARGET"]
-
-
-@covered_by_other_flights
-@KINDS
-@pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
-async def test_goto_moves_the_reference_and_nothing_else(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly(mode)
-        start, began = gcs.place(), gcs.now
-        await gcs.step(3.0, -3.0, 2.0)
-        await asyncio.sleep(16)
-        assert gcs.place() == pytest.approx((start[0] + 3.0, start[1] - 3.0, start[2] + 2.0), abs=0.4)
-        assert not gcs.commands(began), "no DO_REPOSITION, no mode"
-        assert gcs.control()["state"] == "flying" and not gcs.texts(began)
 
 
 @pytest.mark.deep  # several vehicles under control
@@ -52,51 +35,6 @@ async def test_several_keep_their_formation(tmp_path: Path) -> None:
                 assert after[i][axis] - after[0][axis] == pytest.approx(before[i][axis] - before[0][axis], abs=0.5)
         one_place = (await gcs("control.setpoint", targets="all", pos_enu_m=[0.0, 0.0, 10.0]))["outcomes"]
         assert all(o["result"] == "refused" for o in one_place.values())
-
-
-@covered_by_other_flights
-@KINDS
-@pytest.mark.parametrize("mode", ["attitude", "velocity"])
-async def test_a_stream_that_ends_leaves_it_where_it_then_is(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly(mode)
-        start = gcs.place()
-        began = gcs.now
-        while gcs.now < began + 4.0:
-            await gcs.done("control.setpoint", vel_enu_mps=[0.0, 1.5, None], pos_enu_m=[None, None, 10.0])
-            await asyncio.sleep(0.05)
-        ended, there = gcs.now, gcs.place()
-        assert there[1] > start[1] + 3.0
-        await asyncio.sleep(12)
-        assert gcs.texts(ended) == ["the setpoints ended: it stays where it is"]
-        assert gcs.control()["state"] == "flying"
-        assert gcs.farthest_m(ended) < 2.5
-        still = gcs.place()
-        await asyncio.sleep(10)
-        assert gcs.place() == pytest.approx(still, abs=0.2)
-
-
-@covered_by_other_flights
-async def test_a_new_origin_waits_for_all_that_hold_or_follow_and_the_stream_goes_on(tmp_path: Path) -> None:
-    """Three hold, each flown another way; a fourth follows a stream of places."""
-    async with aloft(tmp_path, px4=3, ardupilot=1) as gcs:
-        for name, mode in (("v1", "attitude"), ("v2", "velocity"), ("v3", "position"), ("v4", "attitude")):
-            await gcs.fly(mode, targets=name)
-        place = gcs.actor("v4").vehicle.enu_m()
-        assert place is not None
-        changed = gcs.now
-        lat, lon = FIELD.to_geodetic(30.0, -20.0)
-        other = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": FIELD.alt_amsl_m - 5.0, "x_heading_deg": 200.0}
-        for _ in range(100):
-            await gcs.done("control.setpoint", targets="v4", pos_enu_m=place, valid_s=0.5)
-            with pytest.raises(RefusedError, match="under control: `skygcs-cli hold v"):
-                await gcs("origin.set", **other, force=True)
-            await asyncio.sleep(0.05)
-        for name in ("v1", "v2", "v3", "v4"):
-            assert gcs.farthest_m(changed, name) < 0.3, name
-            assert gcs.control(name)["state"] == "flying"
-        await gcs.done("vehicles.hold", targets="all")
-        await gcs("origin.set", **other)
 
 
 @KINDS
@@ -138,22 +76,6 @@ async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp
         await gcs.fly("attitude")
         gains = gcs.actor().offboard.gains()
         assert gains["hover_thrust"] == pytest.approx(0.47, abs=1e-6) and gains["xy"]["pos_p_per_s"] == 0.9
-
-
-@covered_by_other_flights
-@KINDS
-async def test_from_way_to_way_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("position")
-        began = gcs.now
-        for mode in ("velocity", "attitude", "position", "attitude", "velocity", "position"):
-            await gcs.fly(mode)
-            await asyncio.sleep(4)
-            assert gcs.control()["control_mode"] == mode
-        assert gcs.farthest_m(began) < 0.5
-        assert not gcs.commands(began)
-        gaps = [b.at - a.at for a, b in zip(gcs.setpoints(began), gcs.setpoints(began)[1:], strict=False)]
-        assert max(gaps) < 0.3 and math.isfinite(max(gaps))
 
 
 async def test_one_client_leads_each_vehicle_and_orders_are_not_refused_for_it(tmp_path: Path) -> None:

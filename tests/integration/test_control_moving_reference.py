@@ -3,66 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import math
-import random
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from skygcs.sim.conditions import Conditions
-from support.companion_pair import Point, circle
-from support.examples import covered_by_other_flights
-from support.flown import Flown, aloft
+from support.flown import aloft
 
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
-WINDY = Conditions(wind_enu_mps=(5.0, 0.0, 0.0), gust_mps=1.0)
-HEIGHT_M = 10.0
-STREAM_HZ = 5.0
-LOSS = 0.1
 
 
-async def rms_m(gcs: Flown, path: Callable[[float], Point], seconds: float, *, loss: float = LOSS) -> float:
-    """Stream a path, and the root mean square of the truth's distance to it after the first 10 s."""
-    luck = random.Random(7)
-    began = gcs.now
-    while gcs.now < began + seconds:
-        (x, y), (vx, vy), (ax, ay) = path(gcs.now - began)
-        if luck.random() >= loss:
-            await gcs.done(
-                "control.setpoint",
-                pos_enu_m=[x, y, HEIGHT_M],
-                vel_enu_mps=[vx, vy, 0.0],
-                acc_enu_mps2=[ax, ay, 0.0],
-                valid_s=1.0,
-            )
-        await asyncio.sleep(1.0 / STREAM_HZ)
-    looks = [look for look in gcs.truth[1] if look.at >= began + 10.0]
-    off = [math.dist(look.pos_m[:2], path(look.at - began)[0]) for look in looks]
-    return math.sqrt(sum(d * d for d in off) / len(off))
-
-
-@covered_by_other_flights
-@pytest.mark.parametrize(
-    ("kind", "delay_s", "path", "limit_m"),
-    [({"px4": 1}, 0.05, circle, 0.35), ({"px4": 0, "ardupilot": 1}, 0.8, circle, 0.35)],
-    ids=["px4-circle", "ardupilot-circle"],
-)
-async def test_a_path_is_followed_over_a_slow_link(
-    tmp_path: Path, kind: dict[str, int], delay_s: float, path: Callable[[float], Point], limit_m: float
-) -> None:
-    """``delay_s`` both ways together; every combination is measured by `make bench-control`."""
-    control: dict[str, Any] = {"position_hz": 5.0, "position_stale_s": 4.0}
-    async with aloft(tmp_path, **kind, delay_s=delay_s / 2, conditions=WINDY, control=control) as gcs:
-        await gcs.fly("position")
-        (x, y), _, _ = path(0.0)
-        await gcs.done("vehicles.goto", enu_m=[x, y, HEIGHT_M])
-        await asyncio.sleep(12)
-        assert await rms_m(gcs, path, 30.0) <= limit_m
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("across", [True, False], ids=["velocity across", "velocity up"])
 async def test_a_mixed_climb_does_not_swing_at_two_seconds_of_delay(

@@ -11,7 +11,6 @@ import pytest
 
 from skygcs.core.control.trace import decode, rerun
 from skygcs.sim.conditions import Conditions
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -114,22 +113,6 @@ async def test_a_jump_of_the_delay_neither_jolts_it_nor_ends_control(tmp_path: P
         assert gcs.control()["control_mode"] == "velocity"
         assert gcs.farthest_m(began) < 0.1
         assert gcs.control()["prediction"]["round_trip_s"] == pytest.approx(0.7, abs=0.05)
-
-
-@covered_by_other_flights
-@KINDS
-async def test_a_change_of_the_control_mode_on_the_way_makes_no_jump(tmp_path: Path, kind: dict[str, int]) -> None:
-    """From position to velocity with prediction and back, on a circle over 0.8 s."""
-    async with aloft(tmp_path, control=PREDICTED, conditions=WIND, links=air(0.8), **kind) as gcs:
-        await gcs.fly("position")
-        flying = asyncio.create_task(circle(gcs, 45.0))
-        await asyncio.sleep(20.0)
-        await gcs.fly("velocity")
-        await asyncio.sleep(15.0)
-        assert gcs.control()["prediction"]["active"]
-        await gcs.fly("position")
-        assert await flying < 0.35
-        assert gcs.control()["control_mode"] == "position"
 
 
 @pytest.mark.deep  # a further loss of the same flight

@@ -12,7 +12,6 @@ import pytest
 from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin
 from skygcs.errors import RefusedError
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -149,7 +148,7 @@ async def test_an_arducopter_whose_thrust_is_a_climb_rate_is_refused(tmp_path: P
         assert not gcs.setpoints(0.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_it_is_stopped_before_the_fence_though_the_setpoint_would_lead_out(
     tmp_path: Path, kind: dict[str, int]
@@ -170,7 +169,7 @@ async def test_it_is_stopped_before_the_fence_though_the_setpoint_would_lead_out
         assert {s.name for s in gcs.setpoints(gcs.now - 2.0)} == {"SET_POSITION_TARGET_GLOBAL_INT"}
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_delay_ends_it_and_only_an_order_begins_it_again(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
         await gcs.outcome("control.set", mode="raw")

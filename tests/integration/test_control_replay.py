@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from support.control_replay import Replay
-from support.examples import covered_by_other_flights
-from support.public_data import CAPTURE, public_file
+from support.public_data import CAPTURE
 from support.table import each
 
 SUPPORT = Path(__file__).parents[1]
@@ -55,12 +54,3 @@ def test_our_own_capture_gives_what_it_gave_when_this_was_written(sysid: int) ->
         assert leaning == pytest.approx(written, abs=2e-4)
     assert len({packed[4:] for packed in replay.packed}) > 100, "no constant is compared (the first is the time)"
     assert elsewhere(CAPTURE, sysid, 60.0) == replay.digest
-
-
-@covered_by_other_flights
-@each(("name", "seconds"), [("dronekit-v1-sik.tlog", 90.0), ("interop-testdata-v1.tlog", 60.0)])
-def test_other_peoples_flights_give_the_same_in_another_process(name: str, seconds: float) -> None:
-    capture = public_file(f"tlog/{name}")
-    here = Replay(capture.read_bytes(), 1, seconds)
-    assert sum(here.names.values()) > 500, here.names
-    assert elsewhere(capture, 1, seconds) == here.digest

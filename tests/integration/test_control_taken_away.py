@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.examples import covered_by_other_flights
+from skygcs.sim.firmware_modes import CopterMode
 from support.flown import Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
@@ -22,7 +20,7 @@ def px4(gcs: Flown) -> bool:
     return gcs.actor().vehicle.family == "px4"
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_another_ground_station_takes_it_home_in_mid_step(
@@ -41,24 +39,6 @@ async def test_another_ground_station_takes_it_home_in_mid_step(
         assert reported.startswith("control ended: the autopilot left the mode")
         assert gcs.sim().motion.on_ground and not gcs.sim().armed
         assert gcs.farthest_m(taken) < 40.0  # the return's climb
-
-
-@covered_by_other_flights
-@KINDS
-async def test_a_mode_taken_while_control_is_being_taken_up_is_left_alone(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        order = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
-        await gcs.until(lambda: gcs.control()["state"] == "engaging")
-        await asyncio.sleep(0.2)
-        taken = gcs.now
-        gcs.other_sets_mode(4, 6) if px4(gcs) else gcs.other_sets_mode(int(CopterMode.LAND))
-        outcome = await order
-        assert not outcome["ok"] and "LAND" in outcome["message"], outcome
-        assert not gcs.commands(taken)
-        await gcs.ends_safe(within_m=12.0, since=taken)
-        assert gcs.sim().mode in (Px4Mode.LAND, CopterMode.LAND, Px4Mode.LOITER)
-        await asyncio.sleep(20)
-        assert gcs.sim().motion.on_ground
 
 
 @KINDS
@@ -92,22 +72,6 @@ async def test_rebooted_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
         ends = [t for t in gcs.texts(gone) if t.startswith(("control ended", "holding"))]
         assert 1 <= len(ends) <= 2, ends
         assert not [c for c in gcs.commands(gone) if int(c.values["command"]) == 400]
-
-
-@covered_by_other_flights
-@KINDS
-async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        await gcs.fly("attitude")
-        await gcs.step(2.0, 0.0, 0.0)
-        gone = gcs.now
-        gcs.sim().streams.set_interval("HEARTBEAT", math.inf, gcs.now)
-        await gcs.until(lambda: gcs.control()["state"] == "off", 10.0)
-        ended = gcs.now
-        assert ended - gone < 7.0
-        (reported,) = gcs.texts(gone)
-        assert reported.startswith("control ended: the vehicle is lost: no heartbeat")
-        await gcs.ends_safe(within_m=5.0, since=gone)
 
 
 async def test_a_second_vehicle_of_its_id_elsewhere_ends_nothing(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.examples import covered_by_other_flights
 from support.flown import HOLDING, aloft
 
 pytestmark = pytest.mark.looptime
@@ -16,7 +15,7 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_there(
     tmp_path: Path, kind: dict[str, int]
@@ -41,23 +40,7 @@ async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_the
         await gcs.fly("attitude")
 
 
-@covered_by_other_flights
-async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_path: Path) -> None:
-    async with aloft(tmp_path, control={"return_after_s": 4.0}) as gcs:
-        start = await gcs.in_mid_step("attitude")
-        gcs.sim().faults.mute = True
-        await asyncio.sleep(1.5)
-        gcs.sim().faults.mute = False
-        heard = gcs.now
-        back = await gcs.until(lambda: gcs.control()["control_mode"] == "attitude")
-        assert back - heard >= 4.0
-        assert not [s for s in gcs.setpoints(heard) if s.name == "SET_ATTITUDE_TARGET" and s.at < heard + 4.0]
-        assert gcs.texts(back - 0.1) == ["flown by attitude setpoints again"]
-        await asyncio.sleep(15)
-        assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.4)
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("cut_s", [2.5, 10.0])
 async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind: dict[str, int], cut_s: float) -> None:
@@ -84,54 +67,7 @@ async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind
                 assert corrected == "it holds in AUTO.LOITER, as it was ordered while it was not heard"
 
 
-@covered_by_other_flights
-async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
-    async with aloft(tmp_path) as gcs:
-        await gcs.fly("velocity")
-        began = gcs.now
-        while gcs.now < began + 2.0:
-            await gcs.done("control.setpoint", vel_enu_mps=[2.0, 0.0, 0.0], valid_s=5.0)
-            await asyncio.sleep(0.05)
-        cut, start = gcs.now, gcs.place()
-        gcs.sim().faults.mute = True
-        await asyncio.sleep(1.5)
-        gcs.sim().faults.mute = False
-        assert {s.name for s in gcs.setpoints(cut + 0.7)} == {"SET_POSITION_TARGET_GLOBAL_INT"}
-        await asyncio.sleep(10)
-        assert gcs.farthest_m(cut, of=start) < 2.5
-        assert "its velocity setpoints end: it stays where it is" in gcs.texts(cut)
-
-
-@covered_by_other_flights
-async def test_velocities_that_go_on_coming_are_reported_once_as_not_flown(tmp_path: Path) -> None:
-    """Seen on real firmware: an event for each of them, five a second."""
-    async with aloft(tmp_path) as gcs:
-        await gcs.fly("velocity")
-        cut = gcs.now
-        gcs.sim().faults.mute = True
-        while gcs.now < cut + 6.0:
-            if gcs.now > cut + 1.5:
-                gcs.sim().faults.mute = False
-            await gcs("control.setpoint", targets="v1", vel_enu_mps=[1.0, 0.0, 0.0], valid_s=1.0)
-            await asyncio.sleep(0.05)
-        assert gcs.control()["control_mode"] == "position"
-        assert gcs.texts(cut).count("its velocity setpoints end: it stays where it is") == 1
-
-
-@covered_by_other_flights
-@KINDS
-async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        start = await gcs.in_mid_step("attitude")
-        stopped = gcs.now
-        gcs.daemon.stop()
-        await asyncio.sleep(1.2)
-        await gcs.ends_safe(within_m=4.0, since=stopped, of=start)
-        assert gcs.last_setpoint() <= stopped + 1.2, "it is held by setpoints until a heartbeat shows the hold"
-        assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.GUIDED)
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_daemon_of_which_a_part_fails_sends_nothing_more(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
         await gcs.fly("attitude")

@@ -11,7 +11,6 @@ import pytest
 
 from skygcs.core.control.trace import Trace, TraceEntry, decode, rerun
 from skygcs.runtime.trace_file import TraceFile
-from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -55,7 +54,7 @@ async def test_a_flight_with_everything_in_it_runs_again_alike(tmp_path: Path, k
     assert len(entries) >= ticks - 20 and {e.row.control_mode for e in entries} == {"attitude", "velocity", "position"}
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = []
     before = TraceFile.write

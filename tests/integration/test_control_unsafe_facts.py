@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from pathlib import Path
 
 import pytest
 
-from skygcs.sim.conditions import Conditions
-from support.examples import covered_by_other_flights
-from support.flown import Flown, aloft
+from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
@@ -26,41 +23,6 @@ KINDS_AND_MODES = pytest.mark.parametrize(
     ids=["px4-attitude", "ardupilot-attitude", "ardupilot-velocity", "px4-position"],
 )
 """Each autopilot, and each way with one of them: that the guard holds whatever the way is tested with the guard."""
-
-
-async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: float, why: str) -> None:
-    """It held within the time, told so once with this reason, and sent nothing but the order to hold."""
-    held = await gcs.until(lambda: gcs.control()["state"] == "held", latest_s)
-    await gcs.ends_safe(within_m=within_m, since=since)
-    assert gcs.last_setpoint() <= held
-    (reported,) = [t for t in gcs.texts(since) if t.startswith("holding")]
-    assert why in reported, reported
-    assert {int(c.values["command"]) for c in gcs.commands(since)} == gcs.hold_commands
-
-
-@covered_by_other_flights
-@KINDS_AND_MODES
-async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with aloft(tmp_path, control={"battery_min_percent": 30.0}, **kind) as gcs:
-        await gcs.in_mid_step(mode)
-        low = gcs.now
-        gcs.sim().battery.set_percent(28)
-        await held_once(gcs, low, latest_s=4.0, within_m=5.0, why="the battery is at 28 % (limit 30 %)")
-        outcome = await gcs.outcome("control.set", mode="position")
-        assert not outcome["ok"] and "battery" in outcome["message"]
-        await gcs.ends_safe(within_m=5.0, since=low)
-
-
-@covered_by_other_flights
-@KINDS_AND_MODES
-async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        await gcs.in_mid_step(mode)
-        broken = gcs.now
-        gcs.sim().faults.nan_attitude = True
-        await held_once(gcs, broken, latest_s=2.0, within_m=5.0, why="NaN")
-        for sent in gcs.setpoints(0.0):
-            assert all(math.isfinite(v) for v in sent.values.values() if isinstance(v, float)), sent
 
 
 @KINDS_AND_MODES
@@ -79,7 +41,7 @@ async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> N
         assert len(ends) == 1, ends
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
@@ -94,17 +56,6 @@ async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: di
         assert "with this velocity" in refused and "the vehicle is at x " in refused, refused
         assert 5.0 < max(t.pos_m[0] for t in gcs.truth[1]) < 20.0
         assert gcs.control()["state"] == "flying"
-
-
-@covered_by_other_flights
-@KINDS
-async def test_the_wind_carries_it_out(tmp_path: Path, kind: dict[str, int]) -> None:
-    """The law may lean 5 degrees, which does not bear this wind; the autopilot may more."""
-    control = {"tilt_max_deg": 3.0, "fence": {"x_m": [-8.0, 8.0], "y_m": [-8.0, 8.0]}}
-    async with aloft(tmp_path, control=control, conditions=Conditions(wind_enu_mps=(6.0, 0.0, 0.0)), **kind) as gcs:
-        await gcs.fly("attitude")
-        began = gcs.now
-        await held_once(gcs, began, latest_s=60.0, within_m=13.0, why="the vehicle is at x 8.")
 
 
 @KINDS

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
@@ -15,7 +14,7 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("phase_s", [0.0, 0.05, 0.1, 0.15, 0.19])
 async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
@@ -39,15 +38,3 @@ async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
         await asyncio.sleep(12.0)
         assert gcs.farthest_m(slow, of=(start[0] + 8.0, start[1], start[2])) < 8.0, "it never leaves the step"
         assert gcs.place() == pytest.approx((start[0] + 8.0, start[1], start[2]), abs=0.5)
-
-
-@covered_by_other_flights
-async def test_the_return_waits_for_twenty_good_pongs_and_then_return_after_s(tmp_path: Path) -> None:
-    async with aloft(tmp_path, delay_s=0.01, control={"return_after_s": 2.0}) as gcs:
-        await gcs.fly("attitude")
-        await asyncio.sleep(6.0)
-        gcs.uplink_delay_s = 0.575
-        await asyncio.sleep(3.0)
-        over, gcs.uplink_delay_s = gcs.now, 0.0
-        back = await gcs.until(lambda: gcs.control()["control_mode"] == "attitude", timeout_s=60.0)
-        assert 20.0 <= back - over <= 24.0, "docs/explanation/control-guard.md"

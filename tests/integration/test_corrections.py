@@ -11,7 +11,6 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.rpc.links import CorrectionsStatus, CorrectionsTaken
-from support.examples import covered_by_other_flights
 from support.flown import Flown
 from support.grounded import on_the_ground
 from support.rtcm import STANDARD_1005, rtcm_frame
@@ -19,7 +18,6 @@ from support.rtcm import STANDARD_1005, rtcm_frame
 pytestmark = pytest.mark.looptime
 
 OBSERVATIONS = (1077, 1087, 1097, 1127)
-FIX_RTK_FIXED = 6
 
 
 def epoch_of(second: int) -> bytes:
@@ -81,7 +79,7 @@ async def test_a_piece_tells_what_it_completed(tmp_path: Path) -> None:
         assert (then["messages"], then["types"], then["too_long"], then["bad_crc"]) == (1, {"1077": 1}, 1, 1)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_two_bases_at_a_time_are_refused(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
         await send(gcs, STANDARD_1005[:10], source="roof")
@@ -103,16 +101,3 @@ async def test_what_no_link_takes_is_told(tmp_path: Path) -> None:
         told = await send(gcs, STANDARD_1005)
         assert (told["links"], told["messages"], told["refused"]) == (0, 0, 1)
         assert (await gcs("corrections.status"))["refused"] == 1
-
-
-@covered_by_other_flights
-async def test_a_ground_station_hears_nothing_of_them(tmp_path: Path) -> None:
-    async with on_the_ground(tmp_path) as gcs:
-        await gcs.daemon.links.add("gcs", {"type": "memory", "role": "gcs"})
-        await asyncio.sleep(1)
-        await send(gcs, STANDARD_1005)
-        await asyncio.sleep(1)
-        link = gcs.daemon.links.link("gcs")
-        heard = {raw[7] | raw[8] << 8 for raw in link.peer.received}  # type: ignore[attr-defined]
-        assert 0 in heard
-        assert 233 not in heard

@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode
-from support.examples import covered_by_other_flights
 from support.flown import aloft
 
 pytestmark = pytest.mark.looptime
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", [{"px4": 1, "ardupilot": 0}, {"px4": 0, "ardupilot": 1}], ids=str)
 async def test_it_is_told_before_the_vehicle_acts_and_when_it_is_over(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, params={"FS_GCS_ENABLE": 1.0}, **kind) as gcs:
@@ -34,17 +33,3 @@ async def test_it_is_told_before_the_vehicle_acts_and_when_it_is_over(tmp_path: 
         await gcs.until(lambda: any(t.kind == "uplink_back" for t in gcs.told), 10.0)
         (state,) = await gcs("vehicles.list", targets="all")
         assert state["uplink"]["heard"] is True
-
-
-@covered_by_other_flights
-async def test_a_link_that_is_cut_both_ways_is_a_lost_vehicle_and_no_dead_uplink(tmp_path: Path) -> None:
-    async with aloft(tmp_path) as gcs:
-        await asyncio.sleep(20)
-        gcs.cut = True
-        await gcs.until(lambda: any(t.kind == "vehicle_lost" for t in gcs.told), 20.0)
-        await asyncio.sleep(10)
-        assert not [t for t in gcs.told if t.kind.startswith("uplink")]
-        gcs.cut = False
-        await asyncio.sleep(20)
-        assert not [t for t in gcs.told if t.kind.startswith("uplink")]
-        assert gcs.actor().uplink.answered_at is not None

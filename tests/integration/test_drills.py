@@ -19,7 +19,6 @@ from skygcs.sim.quad import Quad
 from skygcs.sim.vehicle import SimVehicle
 from support.called import call
 from support.daemons import made_daemon, simulated_link, started
-from support.examples import covered_by_other_flights
 from support.flown import Ordering, flown
 
 pytestmark = pytest.mark.looptime
@@ -86,21 +85,6 @@ async def test_a_deaf_vehicle_takes_no_order_until_the_fault_has_ended(tmp_path:
         assert (await lab.outcome("vehicles.arm", "v2"))["ok"], "the other one hears"
         await lab.outcome("drills.end", fault="deaf")
         assert (await lab.outcome("vehicles.arm"))["ok"]
-
-
-@covered_by_other_flights
-async def test_a_cut_link_loses_the_vehicle_and_gives_it_back(tmp_path: Path) -> None:
-    async with station(tmp_path) as lab:
-        await lab.outcome("drills.begin", fault="link")
-        await lab.outcome("drills.begin", fault="deaf")
-        await asyncio.sleep(20.0)
-        assert not (await lab.state())["connected"]
-        await lab.outcome("drills.end", fault="link")
-        assert lab.sim().faults.deaf and not lab.sim().faults.mute, "it is deaf still"
-        await asyncio.sleep(5.0)
-        assert (await lab.state())["connected"]
-        ended = await lab.outcome("drills.end")
-        assert ended["message"] == "ended: deaf" and not lab.sim().faults.deaf
 
 
 async def test_a_low_battery_is_a_failsafe_and_ends_with_the_charge_that_was_lost(tmp_path: Path) -> None:

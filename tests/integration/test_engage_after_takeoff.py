@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 
 pytestmark = pytest.mark.looptime
@@ -30,7 +29,7 @@ async def grounded(tmp_path: Path, mode: str | None, **kind: int) -> AsyncIterat
         yield gcs
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
 async def test_control_begins_at_the_height(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
@@ -44,18 +43,7 @@ async def test_control_begins_at_the_height(tmp_path: Path, kind: dict[str, int]
         assert gcs.control()["mode"] == mode and gcs.farthest_m(at) < 1.0
 
 
-@covered_by_other_flights
-@KINDS
-@pytest.mark.parametrize("mode", [None, "off"])
-async def test_by_default_nothing_begins(tmp_path: Path, kind: dict[str, int], mode: str | None) -> None:
-    async with grounded(tmp_path, mode, **kind) as gcs:
-        since = gcs.now
-        await gcs.done("vehicles.takeoff", height_m=6.0, wait_s=30.0)
-        await asyncio.sleep(25.0)
-        assert gcs.control()["state"] == "off" and not gcs.setpoints(since)
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("disturbance", ["hold", "land", "off", "pilot", "lost"])
 async def test_a_disturbed_take_off_is_left_alone(tmp_path: Path, kind: dict[str, int], disturbance: str) -> None:
@@ -81,17 +69,7 @@ async def test_a_disturbed_take_off_is_left_alone(tmp_path: Path, kind: dict[str
         assert len(told) == (disturbance in ("pilot", "lost")), gcs.texts(since)
 
 
-@covered_by_other_flights
-async def test_a_goto_that_comes_meanwhile_moves_the_reference_afterwards(tmp_path: Path) -> None:
-    async with grounded(tmp_path, "position", px4=0, ardupilot=1) as gcs:
-        await gcs.done("vehicles.takeoff", height_m=6.0, wait_s=30.0)
-        await gcs.done("vehicles.goto", enu_m=[0.0, 0.0, 9.0])
-        assert gcs.control()["state"] == "flying"
-        await asyncio.sleep(10.0)
-        assert gcs.place()[2] == pytest.approx(9.0, abs=0.5)
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_take_off_that_was_not_ordered_here_is_none(tmp_path: Path) -> None:
     async with grounded(tmp_path, "position", px4=1) as gcs:
         since = gcs.now
@@ -99,13 +77,3 @@ async def test_a_take_off_that_was_not_ordered_here_is_none(tmp_path: Path) -> N
         gcs.other_sets_mode(4, 2)  # AUTO.TAKEOFF by another station
         await asyncio.sleep(30.0)
         assert not gcs.setpoints(since), sim.mode
-
-
-@covered_by_other_flights
-async def test_sigterm_while_it_climbs_begins_nothing(tmp_path: Path) -> None:
-    async with grounded(tmp_path, "position", px4=1) as gcs:
-        since = gcs.now
-        await gcs.done("vehicles.takeoff", height_m=8.0, wait_s=30.0)
-        await gcs.stopped(4.0)
-        await asyncio.sleep(10.0)
-        assert not gcs.setpoints(since)

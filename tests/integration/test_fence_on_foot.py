@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from skygcs.sim.vehicle import SimVehicle
-from support.examples import covered_by_other_flights
 from support.flown import Flown
 from support.grounded import on_the_ground
 
@@ -20,10 +19,6 @@ pytestmark = pytest.mark.looptime
 
 BOTH = pytest.mark.parametrize("name", ["v1", "v2"])
 """v1 is a PX4, v2 an ArduCopter."""
-
-
-def value(sim: SimVehicle, name: str) -> float:
-    return sim.params[name]
 
 
 async def carry(sim: SimVehicle, to_east_m: float) -> None:
@@ -116,24 +111,6 @@ async def test_the_walk_of_an_armed_vehicle_ends_with_what_its_fence_asks_for(tm
         assert Path(reported["record"]["file"]).parent == tmp_path / "logs"
 
 
-@covered_by_other_flights
-async def test_a_copter_tells_of_the_breach_disarmed_as_well_and_the_test_says_so(tmp_path: Path) -> None:
-    async with on_the_ground(tmp_path) as gcs:
-        test = begin(gcs, "v2")
-        await walk(gcs, "v2")
-        reported = await test
-        assert reported["ok"] and "it was not armed" in reported["message"]
-
-
-@covered_by_other_flights
-@BOTH
-async def test_who_stays_inside_has_tested_nothing(tmp_path: Path, name: str) -> None:
-    async with on_the_ground(tmp_path) as gcs:
-        before = held(gcs, name)
-        reported = await begin(gcs, name, timeout_s=10)
-        assert reported["result"] == "timeout" and not reported["record"]["breached"] and held(gcs, name) == before
-
-
 @BOTH
 async def test_a_test_that_is_cancelled_leaves_the_fence_as_it_was(tmp_path: Path, name: str) -> None:
     async with on_the_ground(tmp_path) as gcs:
@@ -152,7 +129,7 @@ async def test_a_test_that_is_cancelled_leaves_the_fence_as_it_was(tmp_path: Pat
         assert recorded(record)["restored"]
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @BOTH
 async def test_a_vehicle_beyond_the_fence_or_in_the_air_is_not_tested(tmp_path: Path, name: str) -> None:
     async with on_the_ground(tmp_path) as gcs:

@@ -17,7 +17,6 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig, ReplayLinkConfig
 from skygcs.tlog.reading import LogReader
 from support.daemons import made_daemon
-from support.examples import covered_by_other_flights
 from support.table import each
 
 DATA = Path(__file__).parents[1] / "data"
@@ -122,7 +121,7 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
     return found
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @each("name", CUTS)
 def test_every_frame_is_read_as_pymavlink_reads_it(name: str) -> None:
     truth = Truth(name)
@@ -136,7 +135,7 @@ def test_every_frame_is_read_as_pymavlink_reads_it(name: str) -> None:
     assert set(Counter((f.sysid, f.compid) for f in frames)) == set(truth.sources)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.looptime
 @pytest.mark.parametrize("name", [cut for cut in CUTS if cut != "copter-forged-positions"])
 async def test_modes_are_those_of_the_heartbeats(name: str, tmp_path: Path) -> None:
@@ -156,14 +155,6 @@ async def test_telemetry_that_is_cut_twice_loses_the_vehicle_twice(tmp_path: Pat
     assert found.state[11]["armed"] is True
 
 
-@covered_by_other_flights
-@pytest.mark.looptime
-async def test_a_low_battery_is_seen_at_the_end(tmp_path: Path) -> None:
-    found = await replay("px4-battery-low", tmp_path)
-    assert 17 <= found.state[11]["battery"]["percent"] <= 19
-    assert found.state[12]["battery"]["percent"] > 20
-
-
 @pytest.mark.looptime
 async def test_forged_positions_are_reported(tmp_path: Path) -> None:
     found = await replay("copter-forged-positions", tmp_path)
@@ -178,21 +169,7 @@ def test_signed_frames_are_counted_as_signed() -> None:
     assert sum(frame.signed for frame in frames) == truth.signed == truth.messages.total() > 600
 
 
-@covered_by_other_flights
-@pytest.mark.looptime
-async def test_a_companion_is_a_component_of_its_vehicle(tmp_path: Path) -> None:
-    truth = Truth("copter-companion")
-    found = await replay("copter-companion", tmp_path)
-    assert truth.sources[21, 191] > 20
-    listed = {c["compid"]: (c["autopilot"], c["type"]) for c in found.state[21]["components"]}
-    assert listed == {1: (True, "QUADROTOR"), 191: (False, "ONBOARD_CONTROLLER")}
-    assert [c["compid"] for c in found.state[22]["components"]] == [1]
-    said = {(e["sysid"], e["text"]) for e in found.events if e["kind"] == "statustext" and e["data"]["compid"] == 191}
-    assert said == {(21, f"{found.state[21]['name']}/191: camera ready")}
-    assert found.state[21]["autopilot"] == "ardupilot" and found.state[21]["type"] == "QUADROTOR"
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.looptime
 async def test_what_a_radio_lost_is_counted_as_pymavlink_counts_it(tmp_path: Path) -> None:
     truth = Truth("copter-radio-flight")

@@ -19,7 +19,6 @@ from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.conditions import Conditions
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft
 from support.planned import least_distance
 from support.process import ROOT
@@ -121,7 +120,7 @@ async def test_nobody_follows_a_leader_down_to_the_ground(tmp_path: Path) -> Non
             await gcs("formation.start", targets=["v2", "v3"], leader="v1")
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_velocity_ends_by_itself(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         await gcs("formation.start", targets=["v1", "v2"], shape="current")
@@ -174,7 +173,7 @@ async def test_a_client_takes_a_member_out_if_it_insists_and_one_client_guides_i
         await gcs.done("control.setpoint", client=a, pos_enu_m=[*gcs.place("v1")])
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_stop_that_comes_while_it_is_being_begun_ends_that(tmp_path: Path) -> None:
     async with formed(tmp_path, px4=2) as gcs:
         beginning = asyncio.create_task(gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=20.0))

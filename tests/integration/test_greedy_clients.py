@@ -17,7 +17,6 @@ from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.error_codes import LIMIT_EXCEEDED
 from skygcs.rpc.slices import Slices
 from skygcs.rpc.work_gate import WorkGate
-from support.examples import covered_by_other_flights
 from support.extension_parts import PLAIN_METHODS
 from support.flown import HOLDING, Flown, aloft
 
@@ -99,7 +98,7 @@ async def test_a_flood_of_landings_is_sent_once_and_everyone_gets_the_outcome(tm
         assert max(sent.values()) <= 3, sent
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_hold_after_a_goto_is_in_force_however_soon_after_the_last_hold(tmp_path: Path) -> None:
     async with aloft(tmp_path, **FLEET) as gcs:
         desk = Desk(gcs)

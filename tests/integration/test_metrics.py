@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from skygcs.config.control import ControlSettings
@@ -19,7 +20,6 @@ from skygcs.ext.metrics.collector import MetricsCollector
 from skygcs.ext.metrics.table import METRICS
 from skygcs.rpc.client import connect
 from support.daemons import made_daemon, memory_link, started
-from support.examples import covered_by_other_flights
 from support.hosts import until
 from support.routed import heartbeat
 
@@ -118,7 +118,7 @@ async def test_counters_of_a_link_survive_its_channels(tmp_path: Path) -> None:
         assert after("link_received_frames_total", link="radio") == 2
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_series_of_250_vehicles_are_bounded_and_each_turn_of_the_loop_is_short(tmp_path: Path) -> None:
     async with running(tmp_path) as daemon:
         peer = peer_of(daemon)

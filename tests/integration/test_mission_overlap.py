@@ -11,7 +11,6 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mission.item import MissionType
-from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
@@ -36,7 +35,7 @@ def mission(*points: tuple[float, float, float], home: tuple[float, float]) -> s
     return json.dumps({"fileType": "Plan", "version": 1, "groundStation": "QGroundControl", "mission": flight, **empty})
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_one_mission_for_two_at_one_height_is_refused_unless_insisted_on(tmp_path: Path) -> None:
     """It started without a word."""
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
@@ -132,7 +131,7 @@ async def test_a_vehicle_lost_in_the_air_is_in_the_way_of_everything_that_goes_o
         assert not flies["ok"] and "near v2 (lost in the air" in flies["message"], flies
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_mission_that_lands_on_one_that_stands_is_refused(tmp_path: Path) -> None:
     """One after another by the same mission: the second came down on the first."""
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:

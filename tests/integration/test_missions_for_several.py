@@ -4,7 +4,6 @@ one after another."""
 from __future__ import annotations
 
 import asyncio
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -21,16 +20,12 @@ from skygcs.ext.missions.methods import turns_of
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.firmware_modes import CopterMode
-from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, flown
 from support.sim_pilot import int_param
 
 COSTS = "missions of two and three vehicles, each flown from the ground to its landing"
 
 pytestmark = pytest.mark.looptime
-
-MARGIN_M = 2.5
-"""Two wingspans' halves and two position errors, as `core.separation` has them by default; heights count half."""
 
 
 def item(command: int, east_m: float, north_m: float, up_m: float) -> MissionItem:
@@ -58,17 +53,6 @@ LOW: dict[str, float] = {"RTL_RETURN_ALT": 8.0, "RTL_ALT": 800.0}
 """Heights at which both firmwares return, so that a turn does not take a minute to come down."""
 
 
-def nearest_m(gcs: Flown) -> float:
-    """The least distance of two vehicles in the air, by the simulator's truth, heights divided by two."""
-    least = math.inf
-    for a, b in itertools.combinations(gcs.truth.values(), 2):
-        for p, q in zip(a, b, strict=False):
-            if not p.landed and not q.landed:
-                dx, dy, dz = (u - v for u, v in zip(p.pos_m, q.pos_m, strict=True))
-                least = min(least, math.hypot(dx, dy, dz / 2))
-    return least
-
-
 async def landed(gcs: Flown, *names: str, within_s: float = 240.0) -> None:
     await gcs.until(lambda: not any(gcs.sim(name).armed for name in names), within_s)
 
@@ -77,20 +61,6 @@ async def turn(gcs: Flown, name: str) -> dict[str, Any] | None:
     (status,) = await gcs("missions.status", targets=name)
     found: dict[str, Any] | None = status["turn"]
     return found
-
-
-@covered_by_other_flights
-@pytest.mark.parametrize("kind", [{"px4": 3}, {"px4": 0, "ardupilot": 3}], ids=["px4", "ardupilot"])
-async def test_the_present_formation_is_kept_on_one_mission_for_all(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with flown(tmp_path, takeoff=False, params=LOW, **kind) as gcs:
-        plan = mission(*NORTH)
-        await gcs.done("missions.upload", targets="all", plan=plan, arrangement={"kind": "present"})
-        await gcs.done("missions.start", targets="all")
-        await gcs.until(lambda: all(gcs.place(name)[1] > 43.0 for name in ("v1", "v2", "v3")), 120.0)
-        for n, name in enumerate(("v1", "v2", "v3")):
-            assert gcs.place(name)[0] == pytest.approx(5.0 * n, abs=1.0), "it flies beside the first one"
-        await landed(gcs, "v1", "v2", "v3")
-        assert nearest_m(gcs) > MARGIN_M
 
 
 async def test_where_a_silent_vehicle_was_is_no_place_to_arrange_others_by(tmp_path: Path) -> None:
@@ -119,25 +89,6 @@ async def test_missions_that_come_too_near_are_refused_and_go_up_when_insisted_o
         # the start is checked again, as of any missions
         refused = (await gcs("missions.start", targets="all"))["outcomes"]["v2"]
         assert refused["result"] == "refused" and "near v1" in refused["message"]
-
-
-@covered_by_other_flights
-async def test_each_next_vehicle_flies_so_much_higher(tmp_path: Path) -> None:
-    """Over places that none of them took off from: their ways up and down are beside each other."""
-    async with flown(tmp_path, px4=2, ardupilot=1, takeoff=False) as gcs:
-        over = mission((-20.0, 0.0, 10.0), (-20.0, 30.0, 10.0), (-40.0, 30.0, 10.0), end="hold")
-        three = {"kind": "heights", "step_m": 3.0}
-        outcomes = (await gcs("missions.upload", targets="all", plan=over, arrangement=three))["outcomes"]
-        assert "they need 2.5 m, heights divided by 2" in outcomes["v1"]["message"], "3 m is less than the margins"
-        await gcs.done("missions.upload", targets="all", plan=over, arrangement={"kind": "heights"})
-        for n, name in enumerate(("v1", "v2", "v3")):
-            answer = await gcs("missions.download", target=name)
-            assert [one["params"][6] for one in answer["mission"]] == pytest.approx([10.0 + 5.5 * n] * 3)
-        await gcs.done("missions.start", targets="all")
-        await gcs.until(lambda: all(gcs.place(name)[0] < -38.0 for name in ("v1", "v2", "v3")), 180.0)
-        for n, name in enumerate(("v1", "v2", "v3")):
-            assert gcs.place(name)[2] == pytest.approx(10.0 + 5.5 * n, abs=0.7)
-        assert nearest_m(gcs) > MARGIN_M
 
 
 async def test_heights_that_end_with_a_return_need_return_heights_that_differ(tmp_path: Path) -> None:
@@ -190,22 +141,6 @@ async def test_the_next_one_starts_when_the_one_before_holds_at_its_end_out_of_t
         assert gcs.place("v1")[1] > 17.0 and gcs.sim("v1").armed
 
 
-@covered_by_other_flights
-@pytest.mark.parametrize("order", ["vehicles.stop", "missions.pause", "vehicles.rtl"])
-async def test_nobody_starts_after_an_order_to_the_one_that_flies(tmp_path: Path, order: str) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
-        await gcs.done("missions.upload", targets="all", plan=mission(*NEAR))
-        await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[2] > 3.0, 60.0)
-        await gcs(order, targets="v1")
-        await gcs.done("vehicles.land", targets="v1")
-        await landed(gcs, "v1")
-        await asyncio.sleep(20.0)
-        assert not gcs.sim("v2").armed
-        ended = [t for t in gcs.told if t.kind == "mission" and "ended" in t.data]
-        assert len(ended) == 1 and "v2 does not start" in ended[0].text, ended
-
-
 async def test_nobody_starts_after_this_computer_has_slept(tmp_path: Path) -> None:
     """The one that flew had been dropped, looked connected for ever, and its mission looked complete."""
     async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
@@ -231,7 +166,7 @@ async def test_nobody_starts_after_this_computer_has_slept(tmp_path: Path) -> No
         assert not gcs.sim("v2").armed
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize(("px4", "mode"), [(2, "AUTO.LAND"), (0, "LAND")], ids=["px4", "ardupilot"])
 async def test_nobody_starts_after_another_station_has_landed_the_one_that_flies(
     tmp_path: Path, px4: int, mode: str
@@ -300,23 +235,7 @@ async def test_without_evidence_of_a_landing_nobody_starts_and_an_event_says_why
         assert "no attitude has come since it was disarmed" in ended and "v2 does not start" in ended
 
 
-@covered_by_other_flights
-async def test_the_same_order_given_again_waits_for_the_first_one_again(tmp_path: Path) -> None:
-    """It held at the end of the flight before, which counted as that of the new one."""
-    async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:
-        await gcs.done("missions.upload", targets="v1", plan=mission(*NEAR, end="hold"))
-        await gcs.done("missions.upload", targets="v2", plan=mission((5.0, 0.0, 6.0), (30.0, 0.0, 6.0), end="hold"))
-        await gcs.done("missions.start", targets="v1")
-        await gcs.until(lambda: gcs.place("v1")[1] > 19.0, 60.0)
-        await asyncio.sleep(5.0)
-        await gcs.done("missions.start", targets="all", one_after_another=True)
-        await gcs.until(lambda: gcs.place("v1")[1] < 8.0 or gcs.sim("v2").armed, 60.0)
-        assert not gcs.sim("v2").armed
-        await gcs.until(lambda: gcs.sim("v2").armed, 120.0)
-        assert gcs.place("v1")[1] > 17.0
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_stop_to_all_ends_the_turns_in_the_moment_between_two_of_them(tmp_path: Path) -> None:
     """The first one is down and disarmed, so that STOP moves nobody."""
     async with flown(tmp_path, px4=2, takeoff=False, params=LOW) as gcs:

@@ -32,7 +32,6 @@ from skygcs.runtime.loop_clock import Standstill
 from skygcs.sim.vehicle import SimVehicle
 from support.called import call
 from support.daemons import simulated_link, started
-from support.examples import covered_by_other_flights
 from support.pymav import PymavPeer
 
 COSTS = "vehicles that fly by poses at 30 Hz"
@@ -201,7 +200,7 @@ async def test_what_cameras_do_wrong_is_never_sent(tmp_path: Path, family: str) 
         assert gcs.sim().vision.count == poses["sent"]
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_when_poses_stop_sending_stops_and_the_autopilot_lands(tmp_path: Path) -> None:
     async with lab(tmp_path, "px4") as gcs:
         sim = gcs.sim()
@@ -270,7 +269,7 @@ async def test_a_px4_whose_origin_is_not_at_altitude_zero_gets_no_poses(
             assert "altitude of 180.0 m" in problem and "alt_amsl_m = 0" in problem and verdict == "fail"
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -288,7 +287,7 @@ async def test_a_recording_is_not_sent_to_a_real_vehicle_that_is_armed(
         assert "recording" in (await gcs.poses())["problem"]
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_each_vehicle_gets_its_own_poses(tmp_path: Path) -> None:
     async with lab(tmp_path, "px4", "ardupilot") as gcs:
         await asyncio.sleep(20)

@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.geo import EnuFrame
 from skygcs.sim.conditions import Conditions, Dynamics
 from support.encounters import KINDS, arena, encounter, judge
-from support.examples import covered_by_other_flights
-from support.flown import FIELD, Flown, aloft, flown
+from support.flown import FIELD, Flown, aloft
 from support.made_files import waypoints
 
 pytestmark = pytest.mark.looptime
@@ -24,7 +23,7 @@ pytestmark = pytest.mark.looptime
 EXACT = Conditions(dynamics=Dynamics.KINEMATIC)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", range(len(KINDS)), ids=KINDS)
 async def test_encounters_are_warned_of_in_time_and_a_hold_prevents_the_collision(seed: int, tmp_path: Path) -> None:
     (judged,) = await judge([seed], tmp_path)
@@ -150,23 +149,6 @@ async def test_a_formation_that_moves_into_its_own_places_is_not_refused(tmp_pat
         assert [t.text for t in gcs.told if t.kind == "separation" and t.data.get("level") != "notice"] == []
 
 
-@covered_by_other_flights
-async def test_a_parked_vehicle_is_an_obstacle_for_takeoff_and_goto_and_no_alarm_beside_another(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
-        home = gcs.place_of_home("v2")
-        await gcs.done("vehicles.land", targets="all")
-        await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 90.0)
-        sim = gcs.sim("v2")
-        sim.motion.east_m = 1.0 - home[0]  # carried to a metre beside the other one
-        told = len(gcs.told)
-        await asyncio.sleep(10)
-        assert not [t for t in gcs.told[told:] if t.kind == "separation"]
-        outcomes = (await gcs("vehicles.takeoff", targets="v1", height_m=5.0))["outcomes"]
-        assert refused_for(outcomes, "v1", "v2") and "parked" in outcomes["v1"]["message"], outcomes
-        assert not gcs.sim("v1").armed
-        await gcs.done("vehicles.takeoff", targets="v1", height_m=5.0, force=True)
-
-
 async def test_a_setpoint_into_another_vehicle_is_refused_and_one_away_from_it_taken(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=2, conditions=EXACT) as gcs:
         await gcs.fly("position")
@@ -182,7 +164,7 @@ async def test_a_setpoint_into_another_vehicle_is_refused_and_one_away_from_it_t
         await gcs.done("control.setpoint", targets="v1", pos_enu_m=at, force=True)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_off_watches_nothing_and_refuses_nothing(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "off"}}) as gcs:
         await ready_on(gcs, "v1", 10.0, 12.0)
@@ -257,22 +239,6 @@ async def ready_on(gcs: Flown, name: str, by_m: float, seconds: float) -> None:
     assert answer["outcomes"][name]["ok"], answer
 
 
-@covered_by_other_flights
-async def test_a_trajectory_into_a_vehicle_that_stands_or_is_parked_is_refused_unless_insisted_on(
-    tmp_path: Path,
-) -> None:
-    async with aloft(tmp_path, px4=2) as gcs:
-        await ready_on(gcs, "v1", 10.0, 12.0)
-        outcome = await gcs.outcome("trajectory.start", "v1")
-        assert not outcome["ok"] and "v1 would come 0.0 m near v2 (in the air) in " in outcome["message"]
-        assert (await gcs("trajectory.status"))["trajectories"][0]["flight"] is None
-        await gcs.done("vehicles.land", targets="v2")
-        await gcs.until(lambda: not gcs.sim("v2").armed, 60.0)
-        await gcs.done("trajectory.start", targets="v1")  # at 10 m over one on the ground
-        await asyncio.sleep(15.0)
-        assert abs(gcs.place("v1")[0] - 10.0) < 0.5
-
-
 @pytest.mark.parametrize("doing", ["is sent", "returns"])
 async def test_a_trajectory_across_the_way_that_another_one_has_still_to_fly_is_refused(
     doing: str, tmp_path: Path
@@ -314,22 +280,6 @@ async def test_nobody_is_sent_onto_a_trajectory_that_another_one_follows(order: 
         await gcs.done("trajectory.pause", targets="v1")
         await asyncio.sleep(3.0)
         assert (await gcs.outcome("vehicles.goto", "v2", enu_m=[30.0, 0.0, 10.0]))["ok"]
-
-
-@covered_by_other_flights
-async def test_trajectories_that_meet_later_are_refused_whether_one_flies_already_or_not(tmp_path: Path) -> None:
-    async with aloft(tmp_path, px4=2) as gcs:
-        apart_m = gcs.place("v2")[0] - gcs.place("v1")[0]
-        await ready_on(gcs, "v1", 20.0, 60.0)
-        await ready_on(gcs, "v2", 21.0 - apart_m, 60.0)
-        outcomes = (await gcs("trajectory.start", targets="v1,v2"))["outcomes"]
-        assert all("they need 2.5 m" in o["message"] and "on its trajectory" in o["message"] for o in outcomes.values())
-        await gcs.done("trajectory.start", targets="v2")
-        await asyncio.sleep(2.0)
-        refused = await gcs.outcome("trajectory.start", "v1")
-        assert not refused["ok"] and "near v2 (on its trajectory) in 6" in refused["message"], refused
-        await gcs.done("trajectory.start", targets="v1", force=True)
-        assert gcs.daemon.fleet.monitor.status()["counters"]["orders_refused"] == 3
 
 
 async def test_two_starts_at_once_are_checked_one_after_the_other(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from skygcs.runtime import returns
 from skygcs.runtime.task_set import ORDER_SERIAL, ask
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.firmware_modes import CopterMode
-from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, aloft
 from support.grounded import on_the_ground
 from support.returning import all_down, swapped
@@ -52,7 +51,7 @@ async def put_mission(gcs: Flown, name: str) -> None:
     gcs.actor(name).missions.forget(MissionType.MISSION)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_stop_shows_who_holds_at_once_although_one_does_not_hear_it(tmp_path: Path) -> None:
     """It showed nothing for 30 s: of ten seven had confirmed and two had refused within a second."""
     async with aloft(tmp_path, px4=2, ardupilot=2) as gcs:

@@ -13,13 +13,12 @@ from typing import Any
 import pytest
 
 from skygcs.config.models import SimulatedLinkConfig
-from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from_enu
+from skygcs.core.geo import Origin, enu_from_geodetic, geodetic_from_enu
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.sim.vehicle import SimVehicle
 from support.called import call
 from support.daemons import made_daemon, simulated_link, started
-from support.examples import covered_by_other_flights
 
 pytestmark = pytest.mark.looptime
 
@@ -136,31 +135,6 @@ async def stays(gcs: Flight, before: list[tuple[float, float, float]]) -> None:
     await asyncio.sleep(10)
     for was, now in zip(before, gcs.truth(), strict=True):
         assert math.dist(was, now) < HOLDING_M
-
-
-@covered_by_other_flights
-async def test_a_place_in_a_turned_frame_is_the_right_place_on_earth(tmp_path: Path) -> None:
-    async with flight(tmp_path) as gcs:
-        field = gcs.vehicles[0].where
-        origin = Origin(field.lat_deg + 2e-4, field.lon_deg - 3e-4, field.alt_amsl_m - 4.0, 30.0)
-        await gcs(
-            "origin.set",
-            lat_deg=origin.lat_deg,
-            lon_deg=origin.lon_deg,
-            alt_amsl_m=origin.alt_amsl_m,
-            x_heading_deg=origin.x_heading_deg,
-        )
-        goals = {1: [20.0, -15.0, 22.0], 3: [-10.0, 12.0, 19.0]}
-        for sysid, goal in goals.items():
-            await gcs.done("vehicles.goto", targets=str(sysid), enu_m=goal, force=True)  # past v2
-        await asyncio.sleep(25)
-        for sysid, goal in goals.items():
-            lat, lon, alt = geodetic_from_enu(goal[0], goal[1], goal[2], origin)
-            where = gcs.on_earth(sysid - 1)
-            assert distance_m(*where[:2], lat, lon) < HOLDING_M
-            assert where[2] == pytest.approx(alt, abs=HOLDING_M)
-            (state,) = await gcs("vehicles.list", targets=str(sysid))
-            assert state["position"]["enu_m"] == pytest.approx(goal, abs=HOLDING_M)
 
 
 @pytest.mark.deep  # several vehicles, as the one before

@@ -11,7 +11,6 @@ import pytest
 
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import RefusedError
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 from support.planned import UP_M, run, state, timed
 from support.sim_pilot import int_param
@@ -85,23 +84,6 @@ async def test_a_part_of_skygcs_without_a_clearance_sends_what_is_harmless_only(
         faults = [t for t in gcs.told if t.kind == "fault"]
         assert len(faults) == 1 and "outgoing gate" in faults[0].text
         gcs.told.remove(faults[0])  # it was made here
-
-
-@covered_by_other_flights
-@KINDS
-async def test_a_vehicle_that_has_landed_is_ready_where_takeoff_works(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, **kind) as gcs:
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.sim().armed, 60.0)
-        await asyncio.sleep(12)  # its landed state and its arming checks have come
-        if gcs.actor().vehicle.family == "px4":  # one of 1.16 stays in AUTO.LAND, the simulated one leaves it
-            await gcs.done("vehicles.mode", mode="AUTO.LAND")
-        await asyncio.sleep(3)
-        assert gcs.actor().vehicle.mode in ("AUTO.LAND", "LAND")
-        report = (await gcs("preflight.run", targets="v1"))["vehicles"]["v1"]
-        wrong = [f for f in report["findings"] if f["verdict"] == "fail" and f["check"] in ("arming checks", "mode")]
-        assert wrong == []
-        await gcs.done("vehicles.takeoff", height_m=3.0, wait_s=20.0)
 
 
 async def test_a_plan_begins_in_the_mode_that_a_landing_left_to_a_px4(tmp_path: Path) -> None:

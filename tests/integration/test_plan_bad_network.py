@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from support.examples import covered_by_other_flights
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
@@ -81,31 +80,3 @@ async def test_five_per_cent_loss_and_gaps_of_a_second(tmp_path: Path, kind: str
         for name, goal in goals.items():
             assert math.dist(gcs.place(name), goal) < 1.0
         assert least_distance(gcs, began)[0] > MARGIN_M, least_distance(gcs, began)
-
-
-@covered_by_other_flights
-@pytest.mark.parametrize("lost", ["v1", "v2"])
-async def test_one_that_loses_its_link_while_they_cross_stops_the_others_apart_from_it(
-    tmp_path: Path, lost: str
-) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
-        a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
-        plan = phased(
-            {"v1": a, "v2": b},
-            ("climb", {"v1": (*a[:2], 8.0), "v2": (*b[:2], 14.0)}),
-            ("cross", {"v1": (*b[:2], 8.0), "v2": (*a[:2], 14.0)}),
-            ("descend", {"v2": (*a[:2], 8.0)}),
-        )
-        began = gcs.now
-        await run(gcs, plan)
-        await gcs.until(lambda: gcs.daemon.fleet.plans.status()["phase"] == "cross", 120.0)
-        await asyncio.sleep(2.0)
-        gcs.muted.add(int(lost[1:]))
-        await gcs.until(lambda: state(gcs) == "stopped", 8.0)
-        assert gcs.daemon.fleet.plans.status()["phase"] == "cross"
-        other = "v2" if lost == "v1" else "v1"
-        await asyncio.sleep(5.0)
-        here = gcs.place(other)
-        await asyncio.sleep(20.0)
-        assert math.dist(here, gcs.place(other)) < 0.5, "it stands on its way"
-        assert least_distance(gcs, began)[0] > MARGIN_M

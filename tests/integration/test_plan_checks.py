@@ -12,7 +12,6 @@ import pytest
 from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.trajectory import MotionLimits
 from skygcs.runtime.preflight_run import Preflight
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, load, phased, refused, state, timed
 
@@ -53,34 +52,6 @@ async def set_apart(gcs: Flown) -> None:
         sim.params.set("RTL_ALT", 3000 + 1000 * i)
 
 
-@covered_by_other_flights
-async def test_a_fleet_in_order_passes_and_nothing_moves(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
-        await set_apart(gcs)
-        starts = above(gcs, "v1", "v2")
-        await load(gcs, timed(starts, north(starts)))
-        found = await report(gcs)
-        assert found["ok"], refused(found)
-        assert {f["check"] for f in found["findings"]} == {
-            *(
-                "state",
-                "link",
-                "preflight",
-                "position",
-                "return height",
-                "certificate",
-                "fence",
-                "battery",
-                "if skygcs dies",
-            )
-        }
-        assert found["certificate"]["certified"] and found["way_there"]["certified"]
-        assert found["margins"]["v1"]["wingspan_m"] == [0.7, "default"]
-        assert [step["name"] for step in found["steps"]] == ["to the starts", "trajectories"] or found["steps"]
-        await asyncio.sleep(3.0)
-        assert not any(sim.armed for sim in gcs.sims) and state(gcs) == "loaded"
-
-
 async def test_return_heights_are_refused_insisted_on_or_set(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False) as gcs:
         set_clocks(gcs)
@@ -101,7 +72,7 @@ async def test_return_heights_are_refused_insisted_on_or_set(tmp_path: Path) -> 
         await asyncio.sleep(20.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_low_battery_is_refused_and_the_source_of_the_flight_time_is_named(tmp_path: Path) -> None:
     tables = {"defaults": {"control": {}, "flight_time_min": 2.0, "battery_reserve_percent": 40.0}}
     async with flown(tmp_path, px4=1, takeoff=False, tables=tables) as gcs:
@@ -112,18 +83,6 @@ async def test_a_low_battery_is_refused_and_the_source_of_the_flight_time_is_nam
         assert checks(found) == {("v1", "battery")}
         assert "flight_time_min of the fleet file" in refused(found)[0] and "40 % stay" in refused(found)[0]
         assert (await report(gcs, force=True))["ok"]
-
-
-@covered_by_other_flights
-async def test_a_parked_one_on_the_way_is_named_with_its_pair(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=3, takeoff=False) as gcs:
-        await set_apart(gcs)
-        starts = above(gcs, "v1", up_m=3.0)
-        goal = {"v1": (*gcs.place_of_home("v3")[:2], 3.0)}
-        await load(gcs, timed(starts, goal))
-        found = await report(gcs, force=True)
-        assert not found["ok"]
-        assert any("v1 and v" in text and "come within" in text for text in refused(found)), refused(found)
 
 
 async def test_starts_that_cross_ways_that_cannot_be_flown_and_vehicles_that_are_not_there(tmp_path: Path) -> None:
@@ -174,7 +133,7 @@ async def test_starts_that_cross_ways_that_cannot_be_flown_and_vehicles_that_are
         assert found["ok"], refused(found)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_an_unplanned_one_in_the_air_that_moves_is_refused_and_insisted_on(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=2) as gcs:
         await set_apart(gcs)

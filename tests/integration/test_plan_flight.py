@@ -14,11 +14,9 @@ from skygcs.core.plan.margins import MarginRule
 from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight_preparation import way_down
 from skygcs.sim.conditions import Conditions
-from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.called import plans_of
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
-from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
+from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
 
 COSTS = "it flies a dozen plans of several vehicles from the ground to their ends"
 
@@ -34,7 +32,7 @@ def crossing(gcs: Flown) -> tuple[dict[str, Any], dict[str, Any]]:
     return starts, {name: (x, y + 12.0, UP_M) for name, (x, y, _) in places.items()}
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
@@ -48,21 +46,6 @@ async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, 
             assert math.dist(gcs.place(name), goal) < 0.7
             assert gcs.is_safe(name)
         assert least_distance(gcs, began)[0] > MARGIN_M
-
-
-@covered_by_other_flights
-@KINDS
-async def test_a_plan_that_is_run_in_the_moment_the_last_one_finished_is_flown(
-    tmp_path: Path, kind: dict[str, int]
-) -> None:
-    """The orders to hold at the end of the one do not end the engagement of the other."""
-    async with aloft(tmp_path, **kind) as gcs:
-        starts, goals = crossing(gcs)
-        for plan in (timed(starts, goals), timed(goals, starts)):
-            began = gcs.now
-            await run(gcs, plan)
-            await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 120.0)
-            assert state(gcs) == "finished", plan_events(gcs, began)
 
 
 def take_away_v2(gcs: Flown, kind: dict[str, int]) -> None:
@@ -79,31 +62,6 @@ async def midway(gcs: Flown, **params: Any) -> float:
     return gcs.now
 
 
-@covered_by_other_flights
-async def test_phases_are_flown_with_barriers_and_the_layers_keep_a_swap_apart(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
-        began, (a, b) = gcs.now, (gcs.place_of_home("v1"), gcs.place_of_home("v2"))
-        low, high = UP_M, UP_M + 6.0
-        plan = phased(
-            {"v1": a, "v2": b},
-            ("climb", {"v1": (*a[:2], low), "v2": (*b[:2], high)}),
-            ("cross", {"v1": (*b[:2], low), "v2": (*a[:2], high)}),
-            ("descend", {"v2": (*a[:2], low)}),
-        )
-        await run(gcs, plan)
-        seen: set[Any] = set()
-
-        def look() -> bool:
-            seen.add(gcs.daemon.fleet.plans.status()["phase"])
-            return state(gcs) in ("finished", "stopped", "aborted")
-
-        await gcs.until(look, 240.0)
-        assert state(gcs) == "finished", plan_events(gcs)
-        assert {"cross", "descend"} <= seen
-        assert math.dist(gcs.place("v1"), (*b[:2], low)) < 0.7 and math.dist(gcs.place("v2"), (*a[:2], low)) < 0.7
-        assert least_distance(gcs, began)[0] > MARGIN_M
-
-
 async def test_an_order_to_one_vehicle_stops_all_and_is_named(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         since = await midway(gcs)
@@ -115,7 +73,7 @@ async def test_an_order_to_one_vehicle_stops_all_and_is_named(tmp_path: Path) ->
         await gcs.until(lambda: gcs.place("v2")[2] > UP_M + 4.0, 15.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
@@ -159,51 +117,7 @@ async def test_a_lost_vehicle_stops_all_and_is_flown_on_with_when_it_is_heard_ag
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
-@covered_by_other_flights
-@KINDS
-async def test_a_pilot_who_takes_over_stops_all_and_a_resume_is_refused_while_he_flies(
-    tmp_path: Path, kind: dict[str, int]
-) -> None:
-    async with flown(tmp_path, **kind, takeoff=False) as gcs:
-        since = await midway(gcs)
-        take_away_v2(gcs, kind)
-        await gcs.until(lambda: state(gcs) == "stopped", 5.0)
-        assert "v2 left" in plan_events(gcs, since)[0]
-        answer = await gcs("plan.resume")
-        # AUTO.LOITER holds and could be taken back, once it stands; LOITER follows the sticks
-        assert not answer["ok"] and ("still moves" if kind["px4"] else "pilot") in answer["message"], answer
-        assert gcs.control("v2")["state"] != "flying"
-        # on the ground it is an obstacle, and the other one flies on
-        await gcs.done("vehicles.land", targets="v2")
-        await gcs.until(lambda: not gcs.sim("v2").armed, 60.0)
-        await asyncio.sleep(4.0)
-        answer = await gcs("plan.resume")
-        assert answer["ok"] and "without v2" in answer["message"], answer
-        await gcs.until(lambda: state(gcs) in ("finished", "stopped"), 90.0)
-        assert state(gcs) == "finished", plan_events(gcs)
-
-
-@covered_by_other_flights
-async def test_a_vehicle_that_the_guard_holds_stops_all_and_goes_back_to_its_way_by_a_new_certificate(
-    tmp_path: Path,
-) -> None:
-    async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        since = await midway(gcs)
-        gcs.muted.add(2)
-        await gcs.until(lambda: gcs.control("v2")["state"] == "held", 15.0)
-        gcs.muted.clear()
-        await asyncio.sleep(8.0)
-        gcs.sim("v2").motion.north_m -= 3.0
-        await asyncio.sleep(4.0)
-        answer = await gcs("plan.resume")
-        assert answer["ok"] and "going back" in answer["message"], answer
-        await gcs.until(lambda: state(gcs) in ("finished", "stopped"), 120.0)
-        assert state(gcs) == "finished", plan_events(gcs)
-        assert any(text.startswith("returning") for text in plan_events(gcs, since)), plan_events(gcs, since)
-        assert least_distance(gcs, since)[0] > MARGIN_M
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_resume_that_cannot_be_certified_names_the_pair(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=3, takeoff=False) as gcs:
         starts, goals = crossing(gcs)
@@ -252,22 +166,6 @@ async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict
         await gcs("plan.land")
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
         await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 10.0)
-
-
-@covered_by_other_flights
-async def test_a_second_flight_begins_in_the_mode_that_the_landing_left(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
-        starts, goals = crossing(gcs)
-        for ends in (goals, starts):
-            begins = starts if ends is goals else goals
-            await run(gcs, timed(begins, ends))
-            await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 240.0)
-            assert state(gcs) == "finished"
-            await gcs("plan.land")
-            await gcs.until(lambda: state(gcs) == "landed", 120.0)
-            await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 60.0)
-            gcs.sim("v1").mode, gcs.sim("v2").mode = Px4Mode.LAND, CopterMode.LAND  # as `land all` leaves them
-            await asyncio.sleep(5.0)
 
 
 async def test_the_tracking_error_of_the_fleet_file_widens_the_tube(tmp_path: Path) -> None:
@@ -326,7 +224,7 @@ async def test_a_landing_whose_certificate_cannot_be_made_leaves_them_and_force_
         await gcs.until(lambda: state(gcs) == "landed", 120.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_check_meanwhile_does_not_change_the_margins_by_which_a_flight_is_landed(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         await midway(gcs)

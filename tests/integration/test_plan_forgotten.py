@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from support.examples import covered_by_other_flights
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, run, state, timed
 
@@ -28,7 +27,7 @@ async def forget(gcs: Flown, name: str) -> None:
     gcs.daemon.fleet.source_changed(gcs.actor(name).vehicle.key)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_while_they_arm_nobody_takes_off_and_a_plan_can_be_loaded_again(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
         gcs.uplink_delay_s = 1.0  # longer than it takes to forget it

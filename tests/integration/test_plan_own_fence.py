@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from skygcs.core.mission.item import MissionType
-from support.examples import covered_by_other_flights
-from support.flown import Flown, aloft, flown
+from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, load, timed
 
 pytestmark = pytest.mark.looptime
@@ -60,15 +58,3 @@ async def test_the_own_fence_is_looked_at_before_anything_moves_or_is_written(tm
         assert unread.keys() == {"v1", "v2"} and all("could not be read" in text for text in unread.values()), report
         insisted = await gcs("plan.check", margin_m=MARGIN_M, force=True)
         assert not report["ok"] and insisted["ok"], insisted["findings"]
-
-
-@covered_by_other_flights
-async def test_the_dry_run_does_not_pass_a_vehicle_that_returns(tmp_path: Path) -> None:
-    async with aloft(tmp_path, px4=1, ardupilot=1) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await load(gcs, timed(starts, {name: (x, y + 10.0, up) for name, (x, y, up) in starts.items()}))
-        gcs.other_sets_mode(4, 5, sysid=1)
-        gcs.other_sets_mode(6, sysid=2)
-        await asyncio.sleep(3.0)
-        returning = findings(await gcs("plan.check", margin_m=MARGIN_M, force=True), "state")
-        assert returning.keys() == {"v1", "v2"} and all("RTL" in text for text in returning.values()), returning

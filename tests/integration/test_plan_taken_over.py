@@ -12,7 +12,6 @@ import pytest
 
 from skygcs.sim.firmware_modes import CopterMode
 from support.called import plans_of
-from support.examples import covered_by_other_flights
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, load, run, state, timed
 
@@ -25,7 +24,7 @@ COPTER_LOITER = 5
 """ArduCopter's LOITER."""
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize("when", ["takeoff", "to_starts", "flying", "paused", "aborting", "landing"])
 async def test_a_pilot_keeps_what_he_took_and_the_others_are_safe(tmp_path: Path, when: str) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:

@@ -17,7 +17,6 @@ from skygcs.config.models import FleetConfig
 from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.vehicle import SimVehicle
-from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, flown
 from support.planned import MARGIN_M, load, timed
 
@@ -171,7 +170,7 @@ async def test_a_refused_arming_leaves_an_arduplane_in_a_mode_without_sticks(tmp
         assert plane.motion.up_m == 0.0 and plane.motion.groundspeed_mps == 0.0  # no arming lifts it
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_takeoff_that_is_not_seen_puts_no_flying_plane_into_another_mode(tmp_path: Path) -> None:
     async with flown(tmp_path, **EMPTY, others={"ardupilot_plane": 1}) as gcs:
         plane, vehicle = gcs.sims[0], gcs.actor().vehicle
@@ -273,29 +272,6 @@ async def test_a_plan_and_a_formation_name_the_vehicle_that_cannot_hover(tmp_pat
         with pytest.raises(RefusedError, match="v2: it is a rover, and only copters hover at setpoints"):
             await gcs("formation.start", targets=["v1", "v2"], shape="line", spacing_m=8.0)
         assert len([s for s in gcs.sent if s.name.startswith("SET_") or s.values.get("command") == 176]) == sent
-
-
-@covered_by_other_flights
-async def test_a_rover_drives_its_mission_and_a_refused_arming_leaves_it_out_of_auto(tmp_path: Path) -> None:
-    def item(seq: int, east_m: float, north_m: float) -> str:
-        lat, lon = FIELD.to_geodetic(east_m, north_m)
-        return f"{seq}\t0\t3\t16\t0\t0\t0\t0\t{lat:.7f}\t{lon:.7f}\t0\t1"
-
-    async with flown(tmp_path, **EMPTY, others={"rover": 1}) as gcs:
-        rover = gcs.sims[0]
-        places = [(20, 0), (20, 20), (0, 20)]
-        lines = ["QGC WPL 110", item(0, 0, 0), *(item(i, *place) for i, place in enumerate(places, 1))]
-        await gcs.done("missions.upload", plan="\n".join(lines), force=True)
-        rover.faults.refuse_arming = "Hardware safety switch"
-        assert not (await gcs.outcome("missions.start"))["ok"]
-        assert mode_of(rover) == "HOLD"
-        rover.faults.refuse_arming = ""
-        await gcs.done("missions.start")
-        assert mode_of(rover) == "AUTO"
-        for east_m, north_m in places:
-            await gcs.until(lambda e=east_m, n=north_m: away_m(rover, e, n) <= 2.1, 60.0)  # type: ignore[misc]
-        await gcs.until(lambda: rover.motion.groundspeed_mps == 0.0, 30.0)
-        assert away_m(rover, 0, 20) < 3.0
 
 
 async def test_a_copter_is_not_sent_into_the_circle_of_a_plane(tmp_path: Path) -> None:

@@ -14,10 +14,9 @@ import pytest
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
-from skygcs.runtime.renumbering import HEARD_S, RETURN_S
+from skygcs.runtime.renumbering import RETURN_S
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
-from support.examples import covered_by_other_flights
 from support.flown import Flown
 from support.grounded import grounded
 
@@ -67,22 +66,6 @@ def reboots(gcs: Flown) -> int:
     return sum(s.name == "COMMAND_LONG" and s.values["command"] == 246 for s in gcs.sent)
 
 
-@covered_by_other_flights
-async def test_a_px4_takes_its_new_id_with_a_restart_and_keeps_its_name(tmp_path: Path) -> None:
-    async with fielded(tmp_path) as gcs:
-        told = await renumber(gcs, "papa", 22)
-        assert told["ok"], told
-        assert told["message"].startswith("papa is system 22 now, it was 1; MAV_SYS_ID read back; change sysid of ")
-        assert told["message"].endswith(f"[vehicles.papa] to 22 in {tmp_path / 'fleet.toml'}, line 5")
-        assert gcs.sims[0].sysid == 22 and gcs.sims[0].params["MAV_SYS_ID"] == 22 and reboots(gcs) == 1
-        assert ids(gcs) == {"papa": 22, "echo": 2}
-        assert gcs.actor("papa").groups == ("scouts",) and gcs.actor("scouts").sysid == 22
-        await asyncio.sleep(10)
-        outcomes = (await gcs("vehicles.arm", targets="all", wait_s=30))["outcomes"]
-        assert {name: o["ok"] for name, o in outcomes.items()} == {"papa": True, "echo": True}, outcomes
-        assert [t.text for t in gcs.told if t.kind == "vehicle_forgotten"] == ["papa was system 1 and is 22 now"]
-
-
 @pytest.mark.parametrize("at_once", [False, True])
 async def test_a_copter_takes_its_new_id_at_once_or_with_a_restart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: bool
@@ -94,16 +77,6 @@ async def test_a_copter_takes_its_new_id_at_once_or_with_a_restart(
         assert reboots(gcs) == (0 if at_once else 1)
         assert ids(gcs) == {"papa": 1, "echo": 23} and gcs.sims[1].sysid == 23
         assert (await gcs("vehicles.list", targets="all"))[1]["connected"]
-
-
-@covered_by_other_flights
-async def test_there_and_back_again(tmp_path: Path) -> None:
-    async with fielded(tmp_path) as gcs:
-        for sysid in (22, 1, 40):
-            told = await renumber(gcs, "papa", sysid)
-            assert told["ok"], told
-            assert ids(gcs) == {"papa": sysid, "echo": 2}
-            await asyncio.sleep(HEARD_S)
 
 
 async def test_an_id_that_is_taken_or_none_is_refused(tmp_path: Path) -> None:
@@ -136,7 +109,7 @@ async def test_an_armed_vehicle_keeps_its_id(tmp_path: Path) -> None:
         assert gcs.sims[0].params["MAV_SYS_ID"] == 1
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_one_that_does_not_restart_says_what_to_do_and_is_found_when_somebody_did(tmp_path: Path) -> None:
     """As PX4 in SITL, which denies it."""
     async with fielded(tmp_path) as gcs:

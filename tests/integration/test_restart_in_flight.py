@@ -14,7 +14,6 @@ from skygcs.cli.status import STATUS_COLUMNS, status_cells
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.examples import covered_by_other_flights
 from support.flown import Flown, Told, aloft
 from support.returning import swapped
 
@@ -36,7 +35,7 @@ async def restarted(gcs: Flown, journal: Callable[[Path], None] = lambda path: N
     return gcs.told
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_what_it_flew_is_held_as_soon_as_it_is_heard(tmp_path: Path, kind: dict[str, int]) -> None:
     """With our heartbeats its failsafe stayed quiet, and an ArduCopter was 30 m away after 10 s."""
@@ -55,7 +54,7 @@ async def test_what_it_flew_is_held_as_soon_as_it_is_heard(tmp_path: Path, kind:
         assert gcs.actor("v1").vehicle.connected
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_what_it_did_not_fly_is_left_alone(tmp_path: Path) -> None:
     async with aloft(tmp_path, **COPTER) as gcs:
         await gcs.step(60.0, 0.0, 0.0)
@@ -139,7 +138,7 @@ def aged(path: Path) -> None:
     path.write_text(json.dumps(table))
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize("journal", [spoilt, aged], ids=["it cannot be read", "the clock was set back"])
 async def test_it_is_held_whatever_became_of_the_journal(tmp_path: Path, journal: Callable[[Path], None]) -> None:
     async with aloft(tmp_path, conditions=WINDY, **COPTER) as gcs:
@@ -169,7 +168,7 @@ async def test_what_a_station_flew_through_the_daemon_is_held(tmp_path: Path) ->
         assert gcs.is_safe()
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @pytest.mark.parametrize("meanwhile", ["landed", "a pilot took it"])
 async def test_what_was_done_with_it_meanwhile_is_respected(tmp_path: Path, meanwhile: str) -> None:
     async with aloft(tmp_path, **COPTER) as gcs:

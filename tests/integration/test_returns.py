@@ -11,8 +11,7 @@ import pytest
 from skygcs.runtime import returns
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.examples import covered_by_other_flights
-from support.flown import GOING_HOME, Flown, aloft, flown
+from support.flown import GOING_HOME, Flown, aloft
 from support.planned import MARGIN_M, least_distance
 from support.returning import all_down, swapped
 
@@ -90,7 +89,7 @@ async def test_one_alone_and_those_in_nobodys_way_leave_at_once_as_before(tmp_pa
         await all_down(gcs)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_one_that_is_taken_by_its_own_failsafe_is_not_in_our_hands(tmp_path: Path) -> None:
     """While it waits its battery becomes critical: nothing holds it, and the other leaves when it is clear."""
     async with aloft(tmp_path, px4=0, ardupilot=2, conditions=WINDY) as gcs:
@@ -136,22 +135,6 @@ async def test_another_order_takes_one_that_waits(tmp_path: Path) -> None:
         await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", other)), 150.0)
         assert not gcs.commands(since, waiting[0]) and not gcs.sim(waiting[0]).armed
         assert gcs.is_safe(other) and gcs.sim(other).armed, "the first has landed on its home"
-
-
-@covered_by_other_flights
-async def test_preflight_asks_for_return_heights_that_differ(tmp_path: Path) -> None:
-    async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False) as gcs:
-        for sim, height_m in zip(gcs.sims, (15.0, 15.0, 30.0), strict=True):
-            sim.params.set("RTL_RETURN_ALT", height_m)
-            sim.params.set("RTL_ALT", 100.0 * height_m)
-        reports = await gcs("preflight.run", targets="all")
-        asked = {
-            name: finding["text"]
-            for name, report in reports["vehicles"].items()
-            for finding in report["findings"]
-            if finding["check"] == "return heights"
-        }
-        assert asked.keys() == {"v2"} and "RTL_ALT 2000 (20 m)" in asked["v2"], asked
 
 
 async def test_three_in_each_others_ways_come_home_apart_although_the_order_is_repeated(tmp_path: Path) -> None:

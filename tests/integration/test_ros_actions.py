@@ -11,8 +11,7 @@ import pytest
 
 from skygcs.core.ros.action_goals import ABORTED, CANCELED, EXECUTING, SUCCEEDED, UNKNOWN
 from skygcs.sim.firmware_modes import Px4Mode
-from support.examples import covered_by_other_flights
-from support.ros_bridge import bridged, soon
+from support.ros_bridge import bridged
 
 NORTH = {"position": {"x": 0.0, "y": 40.0, "z": 10.0}}
 SOUTH = {"position": {"x": 0.0, "y": -40.0, "z": 10.0}}
@@ -78,7 +77,7 @@ async def test_a_cancel_does_not_take_the_place_of_an_order_that_is_not_answered
         assert "holding" not in str([told.text for told in ros.gcs.told])
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_cancel_holds_after_a_newer_order_that_the_vehicle_did_not_accept(tmp_path: Path) -> None:
     async with bridged(tmp_path, delay_s=1.0, px4=1) as ros:
         goal = await ros.send("goto", **NORTH)
@@ -187,30 +186,3 @@ async def test_a_thousand_goals_are_refused_but_one(tmp_path: Path) -> None:
         answers = [await other.result() for other in goals if not other.accepted]
         assert {answer["status"] for answer in answers} == {UNKNOWN}
         assert (await goal.result())["status"] == SUCCEEDED
-
-
-@covered_by_other_flights
-async def test_the_fleet_its_events_and_markers_are_topics(tmp_path: Path) -> None:
-    async with bridged(tmp_path, px4=2, commands="none") as ros:
-        assert not any("_action" in name for name in ros.node.services)
-        fleet = ros.node.last("/skygcs/fleet")
-        assert fleet["header"]["frame_id"] == "map" and fleet["daemon_connected"] and fleet["has_origin"]
-        assert [(row["name"], row["namespace_root"]) for row in fleet["vehicles"]] == [("v1", "/v1"), ("v2", "/v2")]
-        for row in fleet["vehicles"]:
-            assert row["armed"] and row["landed"] == "in_air" and row["mode"] == "AUTO.LOITER"
-            assert row["position"]["z"] == pytest.approx(10, abs=0.7) and row["control"] == "off"
-        before = len(ros.node.publications["/skygcs/fleet"].messages)
-        await ros.gcs.done("vehicles.land", targets="v2")
-        await soon(lambda: any(e["vehicle"] == "v2" for e in ros.node.publications["/skygcs/events"].messages))
-        (event,) = [e for e in ros.node.publications["/skygcs/events"].messages if e["kind"] == "command"]
-        assert event["vehicle"] == "v2" and event["text"].startswith("land: ") and '"order":"land"' in event["data"]
-        await ros.gcs.done("vehicles.goto", targets="v1", enu_m=[0.0, 20.0, 10.0])
-        await asyncio.sleep(10)
-        assert len(ros.node.publications["/skygcs/fleet"].messages) - before >= 20
-        markers = ros.node.last("/skygcs/markers")["markers"]
-        assert {marker["ns"] for marker in markers} == {"vehicle", "name", "trail", "fence"}
-        assert {marker["header"]["frame_id"] for marker in markers} == {"map"}
-        (trail,) = [marker for marker in markers if marker["ns"] == "trail" and marker["id"] == 1]  # all in one turn
-        assert trail["points"][-1]["y"] - trail["points"][0]["y"] > 10
-        assert ros.node.last("/skygcs/plan")["state"] == "none"
-        assert ros.bridge.fleet.faults == 0

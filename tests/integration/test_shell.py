@@ -21,7 +21,6 @@ from skygcs.rpc.client import Client, connect
 from skygcs.sim.px4_shell import VERSION, Px4Shell
 from skygcs.sim.vehicle import SimVehicle
 from support.daemons import made_daemon, simulated_link, started
-from support.examples import covered_by_other_flights
 from support.hosts import until
 from support.pymav import PymavPeer
 from support.vehicles import parsed
@@ -147,7 +146,7 @@ async def test_a_command_is_executed_and_its_output_comes(tmp_path: Path) -> Non
         assert texts == ["shell opened", "shell: ver all", "shell ended: closed"]
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_nothing_is_sent_by_itself_and_the_table_must_be_there(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         session = await lab.open()
@@ -208,7 +207,7 @@ async def test_an_armed_vehicle_gets_nothing_unless_it_is_insisted_upon(tmp_path
         assert "Armed" in await lab.until_ready(session)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_line_that_arming_cuts_off_ends_the_session_and_is_never_executed(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         session = await lab.open()
@@ -244,7 +243,7 @@ async def test_other_firmware_and_other_clients_are_refused(tmp_path: Path) -> N
         await until(lambda: len(lab.daemon.extensions["shell"].status()["sessions"]) == 1)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_client_that_dies_leaves_no_session_and_no_shell(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         for reads in (False, True):
@@ -302,7 +301,7 @@ async def test_frames_of_others_and_bad_ones_get_nowhere(tmp_path: Path) -> None
         assert (await lab.read(session))["text"] == "good"
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_path: Path) -> None:
     """A command of the console could change what the flight was checked with: parameters, modes, the estimator."""
     async with running(tmp_path) as lab:
@@ -329,7 +328,7 @@ async def test_a_vehicle_in_a_flight_of_ours_has_no_console_whoever_insists(tmp_
             await lab.open("v2", force=True)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addressee(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         await lab.arm(2)
@@ -347,25 +346,7 @@ async def test_others_on_the_same_link_must_be_disarmed_and_look_at_the_addresse
         assert lab.lines(2) == []
 
 
-@covered_by_other_flights
-async def test_a_second_read_ends_the_first_and_a_reboot_of_the_vehicle_is_survived(tmp_path: Path) -> None:
-    async with running(tmp_path) as lab:
-        session = await lab.open()
-        first = asyncio.ensure_future(lab.read(session, 60.0))
-        await asyncio.sleep(0.1)
-        second = asyncio.ensure_future(lab.read(session, 60.0))
-        assert (await first)["text"] == ""
-        await lab.write(session, "echo hello\n")
-        assert "echo" in (await second)["text"]
-        await lab.until_ready(session)
-        vehicle = next(v for v in lab.vehicles if v.sysid == 1)
-        vehicle.faults.reboot = True
-        await asyncio.sleep(20.0)
-        await lab.write(session, "echo again\n")
-        assert "again" in await lab.until_ready(session)
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_shell_that_does_not_greet_gets_an_enter_whatever_modules_print(tmp_path: Path) -> None:
     async with running(tmp_path) as lab:
         first = await lab.open()

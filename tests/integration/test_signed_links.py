@@ -23,7 +23,6 @@ from skygcs.errors import KeyFileError, LinkError, RefusedError, RpcError
 from skygcs.rpc.client import connect
 from support.called import signing_setup_of
 from support.daemons import made_daemon, memory_link, started
-from support.examples import covered_by_other_flights
 from support.hosts import until
 from support.pymav import PymavPeer
 
@@ -158,18 +157,6 @@ async def test_links_of_one_group_may_carry_copies(tmp_path: Path) -> None:
         await until(lambda: counts(daemon)["signed"] == 1 and counts(daemon, "spare")["signed"] == 1)
         wire(daemon, "spare").send(first)
         await until(lambda: counts(daemon, "spare")["replayed"] == 1)
-
-
-@covered_by_other_flights
-async def test_what_others_signed_is_forwarded_as_it_came(tmp_path: Path) -> None:
-    """Signed with a key of theirs, between links without one, and from a link with a key to one without."""
-    async with running(tmp_path, radio={}, keyed={"signing": signing(tmp_path)}, gcs={"role": "gcs"}) as daemon:
-        theirs, ours = SignedPeer(wire(daemon), OTHER), SignedPeer(wire(daemon, "keyed"), KEY, 8)
-        sent = [theirs.heartbeat(), ours.heartbeat()]
-        wire(daemon).send(sent[0])
-        wire(daemon, "keyed").send(sent[1])
-        received = wire(daemon, "gcs").received
-        await until(lambda: all(raw in received for raw in sent))
 
 
 async def test_a_radio_needs_no_key_and_all_may_come_unsigned_where_it_is_said(tmp_path: Path) -> None:

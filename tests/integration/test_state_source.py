@@ -19,7 +19,6 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import RefusedError
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.daemons import memory_link
-from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, aloft
 from support.pymav import PymavPeer
 
@@ -193,7 +192,7 @@ async def test_one_forged_disarmed_heartbeat_from_another_peer_changes_nothing(
         await gcs.done("vehicles.hold")
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_a_disarmed_heartbeat_on_the_vehicles_own_channel_ends_in_a_hold(
     tmp_path: Path, kind: dict[str, int]
@@ -283,7 +282,7 @@ async def test_a_bench_vehicle_of_the_same_id_ends_no_flight(tmp_path: Path, kin
 # -- (c) forged positions
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("boot", ["another clock", "the vehicle's clock"])
 async def test_forged_positions_move_no_vehicle_and_are_a_duplicate(
@@ -312,7 +311,7 @@ async def test_forged_positions_move_no_vehicle_and_are_a_duplicate(
 # -- (d) an echo
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("delay_s", [0.0, 0.2, 1.5])
 async def test_a_peer_that_echoes_telemetry_gets_no_orders(
@@ -334,36 +333,6 @@ async def test_a_peer_that_echoes_telemetry_gets_no_orders(
 
 def both_ways(gcs: Flown, other: Other) -> None:
     other.hears = other.reaches = True
-
-
-@covered_by_other_flights
-@KINDS
-async def test_two_radios_are_one_vehicle_and_each_takes_over_for_the_other(
-    tmp_path: Path, kind: dict[str, int]
-) -> None:
-    async with beside(tmp_path, **kind) as (gcs, other):
-        both_ways(gcs, other)
-        seen = gcs.now
-        await asyncio.sleep(30)
-        assert changes(gcs, seen) == [], "one vehicle"
-        for radio in ("other", "air"):
-            gcs.link.inward.clear()
-            if radio == "other":
-                gcs.cut = True
-            else:
-                gcs.cut, other.hears, other.reaches = False, False, False
-            cut_at = gcs.now
-            switched = [t for t in gcs.told if t.data.get("change") == "switched" and t.at >= cut_at]
-            await gcs.until(
-                lambda since=cut_at: [t for t in gcs.told if t.data.get("change") == "switched" and t.at >= since], 5.0
-            )
-            assert gcs.now - cut_at < 4.0 and not switched
-            assert (await gcs.outcome("vehicles.hold"))["ok"]
-            assert (await gcs.outcome("vehicles.goto", enu_m=[2.0, 2.0, 10.0]))["ok"]
-            await asyncio.sleep(5)
-            assert state(gcs)["connected"] and state(gcs)["position"]["age_s"] < 1.0
-        assert changes(gcs, seen) == []
-        assert not [t for t in gcs.told if t.at >= seen and t.kind in ("reboot", "vehicle_lost")]
 
 
 @pytest.mark.deep  # three changes of mode over two links

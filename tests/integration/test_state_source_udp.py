@@ -28,7 +28,6 @@ from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
 from support.daemons import made_daemon
-from support.examples import covered_by_other_flights
 from support.pymav import PymavPeer
 from support.virtual_uvloop import VirtualUvloop
 
@@ -240,25 +239,7 @@ def test_another_peer_of_the_port_changes_nothing(tmp_path: Path, name: str, sig
     on_uvloop(attack())
 
 
-@covered_by_other_flights
-@pytest.mark.parametrize("signed", [False, True], ids=["unsigned", "signed"])
-def test_an_echo_gets_no_order_before_the_vehicle_has_not_answered(tmp_path: Path, signed: bool) -> None:
-    async def attack() -> None:
-        async with port(tmp_path, signed=signed) as net:
-            net.greet()
-            net.echoing = True
-            await asyncio.sleep(20)
-            net.peer_got.clear()
-            assert (await net.outcome("control.set", mode="off"))["ok"]
-            for mode, number in (("BRAKE", CopterMode.BRAKE), ("GUIDED", CopterMode.GUIDED)):
-                outcome = await net.outcome("vehicles.mode", mode=mode)
-                assert outcome["ok"] and outcome["attempts"] == 1 and net.sim.mode == number
-            assert not [f for f in net.peer_got if f.name == "COMMAND_LONG" and f.fields()["param2"] == 5.0]
-
-    on_uvloop(attack())
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 def test_a_vehicle_that_comes_back_from_another_port_is_followed(tmp_path: Path) -> None:
     async def moved() -> None:
         async with port(tmp_path, signed=False) as net:

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.vehicle import SimVehicle
-from support.examples import covered_by_other_flights
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 
@@ -110,7 +109,7 @@ async def test_a_message_that_a_program_asked_a_px4_for_goes_back_to_its_own_rat
         assert air.rates(PX4) == before
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_what_a_person_has_set_stays(tmp_path: Path) -> None:
     async with by_cable(tmp_path) as air:
         station = GroundStation(air.daemon, "gcs0", compid=191)
@@ -120,24 +119,6 @@ async def test_what_a_person_has_set_stays(tmp_path: Path) -> None:
         assert (await air.daemon.fleet.find(str(PX4)).set_message_interval("ATTITUDE", 8.0)).ok
         await asyncio.sleep(GONE_AFTER_S + 30)
         assert air.rates(PX4)["ATTITUDE"] == 8.0
-
-
-@covered_by_other_flights
-async def test_a_vehicle_that_rebooted_is_asked_for_nothing_of_before(tmp_path: Path) -> None:
-    async with by_cable(tmp_path) as air:
-        station = mavproxy(air)
-        await asyncio.sleep(20)
-        station.disconnect()
-        air.sim(COPTER).faults.reboot = True
-        await air.until(lambda: air.events("reboot"))
-        asked: list[str] = []
-        on_sent = air.daemon.hub.on_sent
-        air.daemon.hub.on_sent = lambda channel, message, raw: (  # type: ignore[method-assign]
-            asked.append(message.info.name),
-            on_sent(channel, message, raw),
-        )
-        await asyncio.sleep(GONE_AFTER_S + 20)
-        assert "REQUEST_DATA_STREAM" not in asked
 
 
 def without_position(vehicle: SimVehicle) -> None:

@@ -9,9 +9,7 @@ import pytest
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.vehicle_state import Home
-from support.examples import covered_by_other_flights
 from support.flown import FIELD, Flown, flown
-from support.planned import UP_M, run, state, timed
 
 pytestmark = pytest.mark.looptime
 
@@ -25,12 +23,7 @@ def move_home(gcs: Flown, up_m: float, name: str = "v1") -> None:
     gcs.sim(name).set_home(Home(0.0, 0.0, up_m))
 
 
-async def height_after(gcs: Flown, seconds: float = 30.0) -> float:
-    await asyncio.sleep(seconds)
-    return gcs.place()[2]
-
-
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_it_counts_from_the_ground_and_not_from_home(tmp_path: Path) -> None:
     """An ArduCopter with home 10 m above it went to 15 m, with home 3 m below to 2 m."""
     async with flown(tmp_path, px4=2, ardupilot=3, takeoff=False, conditions=WINDY) as gcs:
@@ -42,25 +35,6 @@ async def test_it_counts_from_the_ground_and_not_from_home(tmp_path: Path) -> No
         for i in range(1, 6):
             assert gcs.place(f"v{i}")[2] == pytest.approx(5.0, abs=0.7), f"v{i}"
         assert not [t for t in gcs.told if t.kind == "takeoff"]
-
-
-@covered_by_other_flights
-@KINDS
-async def test_home_moves_between_the_order_and_the_climb(tmp_path: Path, kind: dict[str, int]) -> None:
-    """By the arming, as an ArduCopter moves a home that no station set; and by a station after it has armed."""
-    async with flown(tmp_path, takeoff=False, conditions=WINDY, **kind) as gcs:
-        gcs.sim().set_home(Home(0.0, 0.0, 10.0))  # not set by a station: arming puts it where it stands
-        await asyncio.sleep(2.0)
-        await gcs.done("vehicles.takeoff", height_m=5.0, wait_s=30.0)
-        assert await height_after(gcs) == pytest.approx(5.0, abs=0.7)
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.actor().vehicle.armed, 120.0)
-        await asyncio.sleep(3.0)
-        ordered = asyncio.create_task(gcs.outcome("vehicles.takeoff", height_m=5.0, wait_s=30.0))
-        await gcs.until(lambda: gcs.sim().armed, 10.0)
-        move_home(gcs, 8.0)
-        assert (await ordered)["ok"]
-        assert await height_after(gcs) == pytest.approx(5.0, abs=0.7)
 
 
 async def test_a_take_off_to_a_wrong_height_is_an_alarm(tmp_path: Path) -> None:
@@ -92,7 +66,7 @@ async def test_a_range_finder_and_a_home_at_another_height_are_refused(tmp_path:
         await gcs.until(lambda: not gcs.sim().armed, 5.0)
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: dict[str, int]) -> None:
     """1 s after the take-off it was accepted at .1 m, and flown."""
@@ -130,18 +104,3 @@ async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: d
         await gcs.done("vehicles.takeoff", height_m=15.0, wait_s=30.0)
         await gcs.done("vehicles.goto", enu_m=[0.0, 0.0, 15.0], force=True)
         assert gcs.place()[2] < 6.0
-
-
-@covered_by_other_flights
-async def test_in_a_plan_too(tmp_path: Path) -> None:
-    """It went to 12 m instead of 6, and the plan waited for it there."""
-    async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False, conditions=WINDY) as gcs:
-        for name, home_up_m in {"v1": 6.0, "v2": 6.0, "v3": -3.0}.items():
-            move_home(gcs, home_up_m, name)
-        await asyncio.sleep(2.0)
-        starts = {f"v{i}": (*gcs.place_of_home(f"v{i}")[:2], UP_M) for i in (1, 2, 3)}
-        await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
-        await gcs.until(lambda: state(gcs) == "flying", 60.0)
-        for name in starts:
-            assert max(look.pos_m[2] for look in gcs.truth[int(name[1:])]) < UP_M + 1.0
-            assert gcs.place(name)[2] == pytest.approx(UP_M, abs=0.7)

@@ -15,7 +15,6 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.radio_link.corrections import RtcmDeframer, content_of, fragments_of
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle import SimVehicle
-from support.examples import covered_by_other_flights
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 from support.rtcm import rtcm_frame
@@ -167,29 +166,6 @@ async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_th
     (held,) = [text for text in flown.air.events("third_party") if "parameters of vehicle 2" in text]
     assert "255/190 (memory)" in held
     assert 'links.air.third_party.param_lists = "allow"' in held
-
-
-@covered_by_other_flights
-async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_do(tmp_path: Path) -> None:
-    async with field(tmp_path) as flown:
-        (station,) = stations_of(flown)
-        before = flown.air.rates(6)
-        station.connect(VEHICLES)
-        await asyncio.sleep(20)
-        station.disconnect()
-        (source,) = flown.third_party["sources"]
-        assert flown.air.rates(6) == before, "nobody's streams have changed"
-    assert source["source"] == "255/190"
-    assert source["counts"]["refused_logs"] == 60
-    assert source["counts"]["refused_streams"] == 420
-    assert source["counts"]["needless"] >= 20, "its heartbeats, which are of our own system"
-    assert source["counts"]["thinned"] > 150
-    reported = flown.air.events("third_party")
-    assert len([text for text in reported if "LOG_REQUEST" in text]) == 1
-    assert any("553 B/s that one vehicle can send, 10 MB take 5.0 h" in text for text in reported)
-    assert any("links.air.third_party.streams" in text for text in reported)
-    assert any("TIMESYNC at 10 Hz, of which 0.2 Hz" in text for text in reported)
-    assert {"no log downloads over this radio", "slowed down on this radio: TIMESYNC"} <= set(station.texts)
 
 
 @pytest.mark.deep

@@ -9,10 +9,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.geo import Origin
-from skygcs.errors import RefusedError
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.examples import covered_by_other_flights
 from support.flown import Flown, aloft, flown
 
 pytestmark = pytest.mark.looptime
@@ -49,7 +46,7 @@ def flight(gcs: Flown, name: str = "v1") -> dict[str, Any] | None:
     return found
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
 async def test_it_is_followed_to_its_end_and_the_vehicle_stays_there(
@@ -186,7 +183,7 @@ async def test_one_start_is_all_or_none_and_shares_a_clock(tmp_path: Path) -> No
         assert set(outcomes) == {"v1", "v2"} and all(o["ok"] for o in outcomes.values())
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 @KINDS
 @pytest.mark.parametrize("order", ["land", "hold", "off", "goto", "mode_by_pilot"])
 async def test_each_way_out_stops_the_others_on_their_paths(tmp_path: Path, kind: dict[str, int], order: str) -> None:
@@ -225,25 +222,6 @@ async def test_each_way_out_stops_the_others_on_their_paths(tmp_path: Path, kind
         await gcs.until(lambda: gcs.texts(since, "trajectory", "v2")[-1] == "trajectory is finished", 1.0)
 
 
-@covered_by_other_flights
-async def test_a_guards_fall_to_position_goes_on_and_a_hold_ends_it(tmp_path: Path) -> None:
-    async with aloft(tmp_path) as gcs:
-        await gcs.fly("attitude")
-        _, y_m = await on_its_way(gcs, by_m=16.0, seconds=30.0)
-        gcs.uplink_delay_s = 0.3
-        await gcs.until(lambda: gcs.control()["control_mode"] in ("velocity", "position"), 8.0)
-        state = flight(gcs)
-        assert state is not None and state["state"] == "running"
-        await asyncio.sleep(3.0)
-        assert abs(gcs.place()[1] - y_m) < 0.5
-        gcs.cut = True
-        await gcs.until(lambda: gcs.control()["state"] != "flying", 10.0)
-        await gcs.until(lambda: any("left its trajectory" in t for t in gcs.texts(0.0, "trajectory")), 3.0)
-        gcs.cut = False
-        await asyncio.sleep(12.0)
-        assert flight(gcs) is None and gcs.control()["state"] != "flying", "never by itself"
-
-
 async def test_a_stream_and_a_second_trajectory_are_refused_meanwhile(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
         await gcs.fly("position")
@@ -256,23 +234,6 @@ async def test_a_stream_and_a_second_trajectory_are_refused_meanwhile(tmp_path: 
         assert not answer["outcomes"]["v1"]["ok"]
         too_fast = await gcs.outcome("trajectory.speed", speed=4.0)
         assert not too_fast["ok"] and "is above" in too_fast["message"]
-
-
-@covered_by_other_flights
-async def test_a_change_of_the_origin_waits_for_its_end(tmp_path: Path) -> None:
-    async with aloft(tmp_path) as gcs:
-        await gcs.fly("position")
-        x_m, y_m = await on_its_way(gcs)
-        origin = gcs.daemon.fleet.origin
-        assert origin is not None
-        other = Origin(origin.lat_deg + 1e-4, origin.lon_deg, 150.0, 30.0)
-        with pytest.raises(RefusedError, match="v1 flies leg: `skygcs-cli hold v1` first"):
-            gcs.daemon.fleet.set_origin(other, force=True)
-        await gcs.until(lambda: flight(gcs) is None, 20.0)
-        await asyncio.sleep(4.0)
-        assert math.dist(gcs.place(), (x_m + 8.0, y_m, UP_M)) < 0.5
-        with pytest.raises(RefusedError, match="v1 is under control: `skygcs-cli hold v1` first"):
-            gcs.daemon.fleet.set_origin(other, force=True)
 
 
 @KINDS

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from skygcs.core.routing.router import DuplicateFilter
-from support.examples import covered_by_other_flights
 from support.two_links import two_links
 
 pytestmark = pytest.mark.looptime
@@ -20,7 +19,7 @@ def p95(ages_s: list[float]) -> float:
     return ages_s[int(0.95 * len(ages_s))]
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_the_radio_keeps_in_touch_while_the_network_carries_telemetry_and_takes_over(tmp_path: Path) -> None:
     async with two_links(tmp_path) as field:
         await field.until(lambda: all(v["standby"] and v["settled"] for v in field.air()["vehicles"]))

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from skygcs.core.mavlink import mav_cmd
-from support.examples import covered_by_other_flights
 from support.two_links import TwoLinks, two_links
 
 pytestmark = pytest.mark.looptime
@@ -73,7 +72,7 @@ async def test_no_order_of_a_thousand_that_does_something_again_is_done_twice(tm
         assert answered >= 0.75 * sent
 
 
-@covered_by_other_flights
+@pytest.mark.deep
 async def test_a_vehicle_is_armed_once_by_one_order_though_links_flap(tmp_path: Path) -> None:
     async with two_links(tmp_path, ardupilot=2, radio={"loss": 0.05}) as field:
         await asyncio.sleep(30)  # its estimator has a position then
@@ -113,15 +112,3 @@ async def test_a_stop_goes_over_both_links_at_once(tmp_path: Path) -> None:
         stop.cancel()
         await asyncio.gather(stop, return_exceptions=True)
         assert at_once and over == {"wifi", "air"}
-
-
-@covered_by_other_flights
-async def test_a_rate_is_requested_on_the_port_it_is_for(tmp_path: Path) -> None:
-    async with two_links(tmp_path, ardupilot=2) as field:
-        await asyncio.sleep(20)
-        actor, port, sim = field.daemon.fleet.vehicles[1 << 8 | 1], field.ports[1], field.sim(1)
-        radio_s = sim.streams.interval("ATTITUDE")
-        port.loss = 0.25  # of both ways: at 0.5 every second request ends without an answer
-        outcome = await actor.set_message_interval("ATTITUDE", 50.0)
-        assert outcome.ok and port.streams.interval("ATTITUDE") == pytest.approx(0.02)
-        assert sim.streams.interval("ATTITUDE") == radio_s, "not the radio's"

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
@@ -192,14 +191,6 @@ class Flown(Ordering):
         start = self.place()
         await self.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
-        return start
-
-    async def steps_exactly(self, within_s: float) -> Vector:
-        """v1 flies 3 m east, and is there after this time; where it began."""
-        start = self.place()
-        await self.step(3.0, 0.0, 0.0)
-        await asyncio.sleep(within_s)
-        assert self.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.2)
         return start
 
     def actor(self, name: str = "v1") -> VehicleActor:

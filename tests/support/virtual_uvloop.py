@@ -18,6 +18,8 @@ from typing import Any
 
 import uvloop
 
+from support.virtual_asyncio import BLOCKED_S, IN_TURN_S, ThreadsInTurn
+
 IDLE_TURNS = 2
 """Turns of the loop with nothing to do before the clock goes on: descriptors that are ready are read in them."""
 
@@ -26,10 +28,6 @@ NEVER_S = 1e6
 
 LOOK_AGAIN_S = 0.001
 """Of real time, while only a thread or a descriptor can go on."""
-
-BLOCKED_S = 60.0
-"""Of true time: a thread that is not done by then waits for something that only virtual time could bring, and no
-virtual time passes while one works: how long it takes is nothing that a test may depend on."""
 
 
 class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
@@ -44,7 +42,8 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         """Callbacks that were ever scheduled; unchanged over some turns: nothing is going on."""
         self._seen = -1
         self._idle_turns = 0
-        self._in_threads = 0
+        self._threads = ThreadsInTurn(self._wake)
+        self.set_default_executor(self._threads.pool)
         self._waits_since: float | None = None
 
     def time(self) -> float:
@@ -76,14 +75,11 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         return handle
 
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
-        future = super().run_in_executor(executor, func, *args)
-        self._in_threads += 1
-        future.add_done_callback(self._on_thread)
-        return future
+        return asyncio.wrap_future(self._threads.submit_to(executor, func, *args), loop=self)
 
-    def _on_thread(self, _: object) -> None:
-        self._in_threads -= 1
-        self._waits_since = None
+    def _wake(self) -> None:
+        if not self.is_closed():
+            self.call_soon_threadsafe(lambda: None)
 
     def run_forever(self) -> None:
         super().call_soon(self._turn)
@@ -95,7 +91,7 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         else:
             self._idle_turns += 1
         idle = self._idle_turns >= IDLE_TURNS
-        if idle and self._in_threads:
+        if idle and self._threads:
             self._wait_for_thread()
         elif idle and not self._pass_time():
             super().call_later(LOOK_AGAIN_S, self._turn)
@@ -103,10 +99,16 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
             super().call_soon(self._turn)
 
     def _wait_for_thread(self) -> None:
+        """The clock stands still while one works."""
         true_s = monotonic()
         if self._waits_since is None:
             self._waits_since = true_s
-        if true_s - self._waits_since > BLOCKED_S:
+        waited_s = true_s - self._waits_since
+        if self._threads.hand_over(out_of_turn=waited_s > IN_TURN_S):
+            self._waits_since = None
+            super().call_soon(self._turn)
+            return
+        if waited_s > BLOCKED_S:
             raise TimeoutError(f"a thread was not done after {BLOCKED_S:g} s: no virtual time passes while one works")
         super().call_later(LOOK_AGAIN_S, self._turn)
 

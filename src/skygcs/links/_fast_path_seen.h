@@ -54,7 +54,8 @@ static void swap_generations(Seen *seen, double now) {
     seen->older = old;
     clear_generation(&seen->newer);
     if (now >= seen->swap_at + WINDOW_S) clear_generation(&seen->older);
-    seen->swap_at = now + WINDOW_S;
+    int late = now >= seen->swap_at && now < seen->swap_at + WINDOW_S;
+    seen->swap_at = (late ? seen->swap_at : now) + WINDOW_S;
 }
 
 static uint64_t *seen_slot(const Generation *g, uint64_t key) {

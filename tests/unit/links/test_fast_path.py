@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.routing.router import DuplicateFilter
 from skygcs.links import fast_path
 from skygcs.links.reading import LARGEST_DATAGRAM_BYTES
 from skygcs.links.udp import DATAGRAMS_PER_WAKEUP
@@ -463,6 +464,14 @@ def test_ids_that_have_no_room_are_refused(bench: Bench) -> None:
         bench.open_flow(source=1 << 16)
     with pytest.raises(ValueError):
         bench.open_flow(1 << 24)
+
+
+def test_frames_are_remembered_as_long_as_by_the_router(bench: Bench) -> None:
+    by_router, rng, now = DuplicateFilter(), random.Random(3), 50.0
+    for _ in range(5000):
+        now += rng.choice((0.0, 0.1, 0.4, 0.9, 1.1, 3.0))
+        frame = rng.randrange(6), rng.randint(1, 3), now
+        assert bench.table.first_heard_on(*frame) == by_router.first_heard_on(*frame)
 
 
 def test_objects_that_were_not_initialised_do_nothing() -> None:

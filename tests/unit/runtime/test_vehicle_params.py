@@ -183,7 +183,9 @@ async def test_a_network_is_not_read_at_the_rate_of_a_radio(loss: float) -> None
     params = big_set(893)
     rig = Rig(params, None, loss=loss, wide=True)
     loaded = await rig.params.load()
-    assert loaded.params == tuple(params) and loaded.elapsed_s < (1.0 if loss == 0 else 3.5)
+    assert loaded.params == tuple(params) and loaded.elapsed_s < (
+        1.0 if loss == 0 else 8.0
+    )  # of 60 seeds 2.5 s, 4.7 s at most
     if not loss:
         slow = await rig.params.load(refresh=True, bytes_per_s=1000.0)
         assert slow.ok and slow.elapsed_s > 893 * 37 / 1000

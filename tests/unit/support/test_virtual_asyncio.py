@@ -1,4 +1,5 @@
-"""No virtual time passes while a thread works, on either loop: how long it takes is no matter of a test."""
+"""No virtual time passes while a thread works, on either loop: how long it takes is no matter of a test, and neither is
+how long the machine computes."""
 
 from __future__ import annotations
 
@@ -6,9 +7,11 @@ import asyncio
 import socket
 import threading
 import time
+from collections.abc import Iterator
 
 import pytest
 
+from skygcs.runtime.task_set import in_short_turns
 from support.virtual_uvloop import VirtualUvloop
 
 
@@ -33,14 +36,43 @@ async def timers_during_a_thread() -> tuple[float, int]:
     return passed_s, ticked
 
 
+async def ends_of_threads() -> list[float]:
+    """True seconds of two threads in the order in which the loop learns of their ends."""
+    ended = []
+
+    async def work(true_s: float) -> None:
+        await asyncio.to_thread(time.sleep, true_s)
+        ended.append(true_s)
+
+    await asyncio.gather(work(0.05), work(0.0))
+    return ended
+
+
 @pytest.mark.looptime
-async def test_the_clock_of_asyncio_stands_still() -> None:
+async def test_the_clock_of_asyncio_stands_still_and_threads_end_as_they_began() -> None:
     assert await timers_during_a_thread() == (0.0, 0)
+    assert await ends_of_threads() == [0.05, 0.0]
 
 
-def test_the_clock_of_uvloop_stands_still() -> None:
+def test_the_clock_of_uvloop_stands_still_and_threads_end_as_they_began() -> None:
     with asyncio.Runner(loop_factory=VirtualUvloop) as runner:
         assert runner.run(timers_during_a_thread()) == (0.0, 0)
+        assert runner.run(ends_of_threads()) == [0.05, 0.0]
+
+
+@pytest.mark.looptime
+async def test_how_long_the_machine_computes_gives_nobody_a_turn() -> None:
+    turns: list[None] = []
+    asyncio.get_running_loop().call_soon(turns.append, None)
+
+    def work() -> Iterator[None]:
+        begun = time.thread_time()
+        while time.thread_time() - begun < 0.002:
+            pass
+        yield
+        assert not turns
+
+    await in_short_turns(work())
 
 
 @pytest.mark.looptime

@@ -512,9 +512,10 @@ class DuplicateFilter:
     def first_heard_on(self, key: Hashable, channel_id: int, now: float) -> int:
         """The channel on which this frame was heard first; ``channel_id`` itself if it is new (then remembered)."""
         if now >= self._turn_at or len(self._new) >= MAX_REMEMBERED:
-            self._old = self._new if now < self._turn_at + WINDOW_S else {}
+            late_s = now - self._turn_at  # below 0: full before its time
+            self._old = self._new if late_s < WINDOW_S else {}
             self._new = {}
-            self._turn_at = now + WINDOW_S
+            self._turn_at = (self._turn_at if 0.0 <= late_s < WINDOW_S else now) + WINDOW_S
         first = self._new.get(key)
         if first is None:
             first = self._old.get(key)

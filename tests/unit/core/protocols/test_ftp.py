@@ -67,17 +67,20 @@ def test_a_burst_is_one_request_and_another_for_the_next_part() -> None:
 
 
 @each("burst", [False, True])
-@each("seed", range(60))
-def test_exact_over_a_bad_network(seed: int, burst: bool) -> None:
-    """20 % lost each way, 20 % doubled, each packet up to 2 s late and so overtaken. Seeds instead of a search: one in
-    some ten thousand loses all eight requests to open the file."""
-    size = random.Random(seed).randrange(0, 8000)
-    server = FtpServer(content(size, seed), burst_packets=20)
-    wire = FtpWire(server, BAD, seed)
-    outcome = wire.run(download(burst=burst))
-    assert outcome.ok and outcome.data == server.content, outcome.message
-    blocks = size // MAX_DATA_BYTES + 1 + WINDOW
-    assert outcome.sent == len(wire.sent) <= MAX_SESSIONS * (OPEN_TRIES + 2 + blocks * (MAX_TRIES + 1))
+def test_exact_over_a_bad_network(burst: bool) -> None:
+    """20 % lost each way, 20 % doubled, each packet up to 2 s late and so overtaken: of 1,000 downloads four lose every
+    packet for so long that they are given up (11 of 3,000 measured)."""
+    given_up = 0
+    for seed in range(60):
+        size = random.Random(seed).randrange(0, 8000)
+        server = FtpServer(content(size, seed), burst_packets=20)
+        wire = FtpWire(server, BAD, seed)
+        outcome = wire.run(download(burst=burst))
+        given_up += not outcome.ok
+        assert outcome.data == (server.content if outcome.ok else b""), (seed, outcome.message)
+        blocks = size // MAX_DATA_BYTES + 1 + WINDOW
+        assert outcome.sent == len(wire.sent) <= MAX_SESSIONS * (OPEN_TRIES + 2 + blocks * (MAX_TRIES + 1)), seed
+    assert given_up <= 4
 
 
 @settings(max_examples=examples(60), deadline=None)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from skygcs.core.routing import router
@@ -117,6 +119,8 @@ def test_a_frame_heard_over_two_links_is_forwarded_once() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(1, 3), st.sampled_from((0.0, 0.1, 0.4, 0.9, 1.1, 3.0)))))
+@example([(0, 1, 0.0), (0, 1, 1.1), (0, 2, 0.0)])
+@example([(1, 1, 0.0), (0, 1, 0.1), (0, 1, 1.1), (1, 2, 0.9)])
 def test_a_frame_is_remembered_for_a_second_and_forgotten_after_two(frames: list[tuple[int, int, float]]) -> None:
     """Unless more than so many are: the oldest of those are forgotten."""
     seen, now, begun = DuplicateFilter(), 50.0, dict[int, tuple[float, int]]()
@@ -131,7 +135,7 @@ def test_a_frame_is_remembered_for_a_second_and_forgotten_after_two(frames: list
         if first == channel_id != before or now - at > 2.0 * WINDOW_S:
             begun[key] = now, channel_id
         elif first == channel_id and now - at >= WINDOW_S:  # forgotten and remembered anew, or not: both are right
-            del begun[key]
+            begun[key] = math.nan, channel_id
 
 
 def test_more_frames_than_are_remembered_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:

