@@ -39,8 +39,6 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     space_conflict,
     takeoff_conflict,
-    turning,
-    turning_points,
 )
 from skygcs.core.monitor.tracks import (
     PLAN_STEP_S,
@@ -48,12 +46,23 @@ from skygcs.core.monitor.tracks import (
     USUAL_BRAKE_MPS2,
     Member,
     Place,
+    Sample,
     Track,
     arrives,
     is_flying,
+    soon_mps,
     way_to,
 )
-from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped, standing
+from skygcs.core.monitor.ways import (
+    Leg,
+    Way,
+    are_apart,
+    find_way_conflicts,
+    sloped,
+    standing,
+    turning,
+    turning_points,
+)
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -77,6 +86,12 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
+
+BEGINS_S = 1.0
+"""From the check of an order to its entry in the vehicle's ledger, at most: it is sent at once."""
+
+HOME_OR_DOWN = {"rtl": False, "land": True, "stop": True}
+"""Orders after which a vehicle flies home, or comes down where it is (True)."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -119,6 +134,8 @@ class SeparationMonitor:
         self._tasks = TaskSet(loop, on_event)
         self._destinations: dict[int, Destination] = {}
         self._serials = itertools.count()
+        self._beginning: dict[int, tuple[MissionRun, float]] = {}
+        """By key, the mission that a vehicle is being ordered to fly, and when that was checked."""
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
         self._boxes: dict[int, MissionBox] = {}
@@ -157,6 +174,8 @@ class SeparationMonitor:
             yield
         for key in self._destinations.keys() - self._actors.keys():
             del self._destinations[key]
+        for key in self._beginning.keys() - self._actors.keys():
+            del self._beginning[key]
 
     def _members(self) -> Iterator[Member]:
         for key, actor in list(self._actors.items()):
@@ -326,6 +345,7 @@ class SeparationMonitor:
                     others.append(self._way_left(other, track, frame))
                 else:
                     others += self._goes_on(other, track, frame)
+                others += self._begins(other, track, frame)
                 continue
             at = places_in(frame, local, flight, now)
             others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
@@ -340,15 +360,43 @@ class SeparationMonitor:
         """Which of these missions, that begin or go on now, lead too near each other's, a mission that another vehicle
         flies, or a vehicle that flies otherwise, or end on one that stands, and why. They are compared as space, in
         turns with others."""
+        self.begin_missions(starting)
         ways, frame = await self._mission_ways(starting), self.monitor.tracks.frame
-        others = []
+        others = list[Way]()
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             actor = self._actors.get(key)
             waits = track.parked and self._destination(key) is None
             if actor is None or actor in starting or waits or frame is None:
                 continue
             others.append(self._flown_mission(actor, frame) or self._way_left(actor, track, frame))
-        return await self._way_refusals(ways, others) | self._landing_refusals(ways)
+            others += self._begins(actor, track, frame)
+        refused = await self._way_refusals(ways, others) | self._landing_refusals(ways)
+        for actor in refused:
+            self._beginning.pop(actor.vehicle.key, None)
+        return refused
+
+    def begin_missions(self, runs: Mapping[VehicleActor, MissionRun]) -> None:
+        """These are being ordered to fly these missions: for every other order they do so until theirs has ended."""
+        now = self._loop.time()
+        self._beginning |= {actor.vehicle.key: (run, now) for actor, run in runs.items()}
+
+    def _begins(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
+        """The ways of a vehicle by an order that is being given to it, which its telemetry does not show yet: along a
+        mission, home or down."""
+        ledger, ways = actor.runner.ledger, self._begins_home(actor, track, frame)
+        run, checked_at = self._beginning.get(track.key, (None, 0.0))
+        if run is not None and not ledger.in_progress and self._loop.time() - checked_at > BEGINS_S:
+            del self._beginning[track.key]
+        elif run is not None and (way := self._mission_way(actor, run, frame)) is not None:
+            ways.append(way)
+        return ways
+
+    def _begins_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
+        """The same, but for missions."""
+        lands, home = HOME_OR_DOWN.get(actor.runner.ledger.newest_in_progress), actor.vehicle.telemetry("home")
+        if lands is None or home is None or actor.vehicle.mode in COMING_HOME or not self._hovers(track):
+            return []
+        return [self._way_home(actor, track, frame, home, lands=lands)]
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
         """Which of these ways come down on a vehicle that stands, and why that is refused."""
@@ -437,6 +485,7 @@ class SeparationMonitor:
             stays = math.hypot(east - west, north - south, high_m - low_m) <= ARRIVED_M
             led = actor.offboard.flying or actor.vehicle.mode in MISSION_MODES
             yield way, waits or (stays and not led)
+            yield from ((begins, False) for begins in self._begins_home(actor, track, frame))
 
     def why_leaving(self, actor: VehicleActor) -> str | None:
         """Why a vehicle that stands is not to be taken to stay there, in words; None: nobody has sent it anywhere."""
@@ -474,30 +523,40 @@ class SeparationMonitor:
         ball_m = self._ball_m(track) + holds.radius_m + bow_m
         return Way(track.key, track.name, self.footprint(actor), sloped(points) + turns, ball_m, doing)
 
+    @staticmethod
+    def _hovers(track: Track) -> bool:
+        return not track.parked and not track.circle_m
+
     def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
         """The home of one that comes home or down, by whatever order or failsafe; None: it does not, or not so that its
         way is known."""
-        comes = actor.vehicle.mode in COMING_HOME and not track.parked and not track.circle_m
+        comes = actor.vehicle.mode in COMING_HOME and self._hovers(track)
         return actor.vehicle.telemetry("home") if comes else None
 
     def _way_left(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way:
-        """The way that a vehicle has still to fly: home or down, or to where skygcs has sent it. A return height that
-        was not read is taken to be the height that it is at."""
-        vehicle, home = actor.vehicle, self._comes_home(actor, track)
+        """The way that a vehicle has still to fly: home or down, or to where skygcs has sent it."""
+        home = self._comes_home(actor, track)
         if home is None:
             return self._present_way(actor, track, frame, ahead=False)
+        return self._way_home(actor, track, frame, home, lands=actor.vehicle.mode in LANDING)
+
+    def _way_home(
+        self, actor: VehicleActor, track: Track, frame: EnuFrame, home: Mapping[str, Any], *, lands: bool
+    ) -> Way:
+        """Its way home, or down where it is (``lands``). A return height that was not read is taken to be the height
+        that it is at."""
         one = Returning(
             track.key,
             track.name,
             self.footprint(actor),
             frame.from_ecef(track.ecef_m),
-            track.reported_mps,
+            (0.0, 0.0, track.reported_mps[2]),  # how it turns is added
             frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]),
-            known_return_height(vehicle),
-            lands=vehicle.mode in LANDING,
+            known_return_height(actor.vehicle),
+            lands=lands,
         )
         way = one.as_seen().way(under_way=True)
-        to = one.here if one.lands else (*one.home[:2], one.here[2])
+        to = one.here if lands else (*one.home[:2], one.here[2])
         turns = _turning(track, one.here, _along(track, frame), to)
         return replace(way, legs=way.legs + turns, doing=_doing(track, way.doing))
 
@@ -519,6 +578,7 @@ class SeparationMonitor:
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
+            yield from self._begins(actor, track, frame)
             place = self._goes_to(actor, track)
             if place is None:
                 if not self._mission_is_far(actor, track, mover, to):
@@ -593,12 +653,14 @@ class SeparationMonitor:
         if self.mode == "off" or actor is None or vehicle.ids.beside:
             return None
         now = self._loop.time()
-        here, position = fresh_position(vehicle, now), vehicle.telemetry("position")
-        if here is None or position is None:
+        here, (position, at) = fresh_position(vehicle, now), vehicle.timed_telemetry("position")
+        if here is None or position is None or at is None:
             return None
         circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
         east, north, up = position["vel_enu_mps"]
-        velocity = (east, north, up) if is_flying(vehicle, now) else REST
+        track = self.monitor.tracks.tracks.get(vehicle.key)
+        samples = () if track is None else track.history
+        velocity = soon_mps(samples, Sample(at, (east, north, up))) if is_flying(vehicle, now) else REST
         mover = Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
         before = self._destination(vehicle.key)
         way = REST if before is None else mover_frame(mover).from_geodetic(*before)
@@ -679,8 +741,8 @@ def _doing(track: Track, doing: str) -> str:
 
 
 def _along(track: Track, frame: EnuFrame) -> Vector:
-    """Its velocity in this frame."""
-    return world_from_enu(track.reported_mps, frame.origin)
+    """Its velocity in this frame, when an order makes it turn."""
+    return world_from_enu(track.soon_mps, frame.origin)
 
 
 def _turning(one: Track | Mover, here: Vector, velocity: Vector, to: Vector) -> tuple[Leg, ...]:

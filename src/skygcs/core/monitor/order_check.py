@@ -48,7 +48,6 @@ from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, sc
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
 from skygcs.core.monitor.ways import (
     LEGS_A_PART,
-    Leg,
     Way,
     along,
     are_apart,
@@ -60,6 +59,8 @@ from skygcs.core.monitor.ways import (
     sloped,
     standing,
     too_near,
+    turning,
+    turning_lines,
 )
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
@@ -146,9 +147,8 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
     frame, others = mover_frame(mover), list(others)
     end = frame.from_geodetic(*to)
     way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
-    if way is None and mover.turns_m:
-        turns = _through(turning_points(REST, mover.velocity_mps, mover.turns_m, end), HORIZON_S)
-        way = _before_it_turns(_conflict(mover, frame, turns, others, now))
+    for line in turning_lines(REST, mover.velocity_mps, mover.turns_m, end) if way is None else ():
+        way = way or _before_it_turns(_conflict(mover, frame, _through(line, HORIZON_S), others, now))
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
     )
@@ -226,32 +226,6 @@ def _comes_no_nearer(here: Way, mine: Way, other: Way, *, or_clear: bool = False
     if or_clear and not too_near(mine, other):
         return True
     return other.is_known and too_near(here, other) and distance_m(mine, other) > distance_m(here, other) - NEARER_M
-
-
-def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
-    """The outermost way from here to a place, on which it first flies on by so much (`overshoot_m`) and then turns;
-    only here if it stands.
-
-    It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
-    bows the way out by as much as it flies on (never beyond the place, nor farther ahead than it flies on or the place
-    is): the third of the points.
-    """
-    if on_m == 0.0:
-        return (here,)
-    speed_mps = math.hypot(*velocity_mps)
-    stops = _moved(here, velocity_mps, on_m / speed_mps)
-    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
-    away_m = math.hypot(*way)
-    share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
-    ahead_m = sum(p * v for p, v in zip(way, velocity_mps, strict=True)) / speed_mps
-    too_far_m = max(0.0, on_m + share * ahead_m - max(on_m, ahead_m))
-    return here, stops, _moved(_moved(stops, way, share), velocity_mps, -too_far_m / speed_mps), to
-
-
-def turning(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Leg, ...]:
-    """`turning_points` as space, to be added to a straight way; nothing if it stands."""
-    points = turning_points(here, velocity_mps, on_m, to)
-    return sloped(points) if len(points) > 1 else ()
 
 
 def _before_it_turns(conflict: str | None) -> str | None:

@@ -24,6 +24,9 @@ Point = tuple[float, float]
 STEP_M, MOST_STEPS = 2.0, 16
 """A sloped way is made of legs that climb by so much each; a long one of so many, to bound the work."""
 
+FAN_M = 2.0
+"""Less than the least of two margins (2.5 m with the defaults): nothing stands unseen between the lines of a turn."""
+
 LEGS_A_PART = 8
 """Legs of which one box is looked at first: all pairs of two parts take a fraction of a millisecond."""
 
@@ -107,6 +110,43 @@ def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
             between.append((x, y, z))
         between.append(b)
     return along(between)
+
+
+def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
+    """The outermost way from here to a place, on which it first flies on by so much (`overshoot_m`) and then turns;
+    only here if it stands.
+
+    It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
+    bows the way out by as much as it flies on (never beyond the place, nor farther ahead than it flies on or the place
+    is): the third of the points.
+    """
+    if on_m == 0.0:
+        return (here,)
+    speed_mps = math.hypot(*velocity_mps)
+    stops = _on(here, velocity_mps, on_m / speed_mps)
+    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
+    away_m = math.hypot(*way)
+    share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
+    ahead_m = sum(p * v for p, v in zip(way, velocity_mps, strict=True)) / speed_mps
+    too_far_m = max(0.0, on_m + share * ahead_m - max(on_m, ahead_m))
+    return here, stops, _on(_on(stops, way, share), velocity_mps, -too_far_m / speed_mps), to
+
+
+def turning_lines(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[tuple[Vector, ...], ...]:
+    """`turning_points`, and such ways on which it flies on by less: no place between those and the straight way is
+    farther than `FAN_M` from all. None if it stands."""
+    fans = math.ceil(on_m / (2.0 * FAN_M))
+    return tuple(turning_points(here, velocity_mps, on_m * n / fans, to) for n in range(fans, 0, -1))
+
+
+def turning(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Leg, ...]:
+    """The space in which a vehicle turns to a place, to be added to a straight way; nothing if it stands."""
+    lines = turning_lines(here, velocity_mps, on_m, to)
+    return tuple(leg for n, line in enumerate(lines) for leg in sloped(line[n > 0 :]))
+
+
+def _on(place: Vector, along: Vector, times: float) -> Vector:
+    return place[0] + along[0] * times, place[1] + along[1] * times, place[2] + along[2] * times
 
 
 def are_apart(a: tuple[Vector, Vector], b: tuple[Vector, Vector], need: Vector) -> bool:
