@@ -41,6 +41,7 @@ from typing import Literal
 
 from skygcs.core.monitor.conflict_levels import COMING_HOME
 from skygcs.core.monitor.departures import (
+    ASIDE_M,
     AT_A_TURN,
     MOVED_M,
     STANDS_MPS,
@@ -654,7 +655,8 @@ class Returns:
         stays = "stays" if len(names) == 1 else "stay"
         held = [name for name in names if name in staying]
         at_end = f" ({enumerated(held)} after a return that ends in a hold)" if held else ""
-        low = f", and {enumerated(self._fenced)} would have to climb out of its own fence" if self._fenced else ""
+        low = f", and {enumerated(self._fenced)} would have to climb out of its own fence, or above {ASIDE_M:g} m"
+        low = low if self._fenced else ""
         return f"{enumerated(names)} {stays} in its way home{at_end}{low}"
 
     async def _land(self, waits: Waiting) -> None:

@@ -12,11 +12,18 @@ from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
 from skygcs.config.vehicle_tables import MonitorConfig
-from skygcs.core.geo import EnuFrame, ecef, world_from_enu
+from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
-from skygcs.core.monitor.mission_ways import MissionBox, MissionRun, landing_distance_m, mission_box, mission_way
+from skygcs.core.monitor.mission_ways import (
+    MissionBox,
+    MissionOf,
+    MissionRun,
+    MissionSpace,
+    landing_distance_m,
+    mission_box,
+)
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
     FORGET,
@@ -58,6 +65,7 @@ from skygcs.core.monitor.ways import (
     Way,
     are_apart,
     find_way_conflicts,
+    joined,
     sloped,
     standing,
     turning,
@@ -92,6 +100,9 @@ BEGINS_S = 1.0
 
 HOME_OR_DOWN = {"rtl": False, "land": True, "stop": True}
 """Orders after which a vehicle flies home, or comes down where it is (True)."""
+
+FIELD_M = 10_000.0
+"""In a frame whose origin is farther away, up is more than 0.1 degrees off."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -139,6 +150,10 @@ class SeparationMonitor:
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
         self._boxes: dict[int, MissionBox] = {}
+        self._missions: dict[int, MissionSpace] = {}
+        """The missions that are flown, in `_frame`."""
+        self._frame: EnuFrame | None = None
+        """The frame in which ways are compared with that of an order."""
 
     # -- the watch
 
@@ -182,7 +197,7 @@ class SeparationMonitor:
             footprint, priority = self._settings(key, actor)
             self._space(actor)  # so that no order has to wait until those of a fleet are made
             yield Member(actor.vehicle, footprint, priority, self._destination(key), self._trajectory(actor))
-        for table in (self._footprints, self._spaces, self._boxes):
+        for table in (self._footprints, self._spaces, self._boxes, self._missions):
             for key in table.keys() - self._actors.keys():
                 del table[key]
 
@@ -289,7 +304,7 @@ class SeparationMonitor:
         if mover is None:
             return None
         conflict = goto_conflict(mover, to, self._others(together, only=only), self._loop.time())
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to, together, only=only)))
+        return self._refusal(conflict or self._crosses(mover, to, together, only=only))
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
@@ -304,7 +319,7 @@ class SeparationMonitor:
         else:
             to = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
             conflict = takeoff_conflict(mover, height_m, others, now)
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to), strict=ahead is None))
+        return self._refusal(conflict or self._crosses(mover, to, strict=ahead is None))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -463,11 +478,17 @@ class SeparationMonitor:
         run = run._replace(return_end=ends)
         if run.returns and run.height == UNKNOWN:
             run = run._replace(height=known_return_height(vehicle))
-        way = mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m)
+        of = MissionOf(mover.key, mover.name, mover.footprint, run, base, frame, vehicle.mission_reach_m)
+        space = self._missions.get(mover.key)
+        if space is None or space.of != of:
+            space = MissionSpace(of)
+            if frame is self._frame:
+                self._missions[mover.key] = space
+        way = space.way(mover.here)
         here, first = frame.from_geodetic(*mover.here), way.legs[min(1, len(way.legs) - 1)]
         velocity = world_from_enu(mover.velocity_mps, frame.origin)
         turns = _turning(mover, here, velocity, (*first.end, here[2]))
-        return replace(way, legs=(*way.legs, *turns)) if turns else way
+        return joined(way, replace(way, legs=turns)) if turns else way
 
     def present_ways(
         self, frame: EnuFrame, without: Collection[int], *, parked: bool = False
@@ -567,13 +588,35 @@ class SeparationMonitor:
             return self._destination(track.key)
         return home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]
 
+    def _frame_of(self, mover: Mover) -> EnuFrame:
+        """The frame in which ways are compared with that of an order: the same one for a field, so that missions stay
+        made (`MissionSpace`)."""
+        lat_deg, lon_deg, _ = mover.here
+        if self._frame is None or math.hypot(*self._frame.from_geodetic(lat_deg, lon_deg, 0.0)) > FIELD_M:
+            self._frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
+            self._missions.clear()
+        return self._frame
+
+    def _crosses(
+        self,
+        mover: Mover,
+        to: Place,
+        together: frozenset[int] = frozenset(),
+        *,
+        only: frozenset[int] | None = None,
+        strict: bool = False,
+    ) -> str | None:
+        """With which way of another vehicle the straight way to a place conflicts, in words; None: with none."""
+        ways = self._ways(mover, to, together, only=only)
+        return space_conflict(mover, to, ways, strict=strict, frame=self._frame_of(mover))
+
     def _ways(
         self, mover: Mover, to: Place, together: frozenset[int] = frozenset(), *, only: frozenset[int] | None = None
     ) -> Iterator[Way]:
         """The ways of those that come home or down, or were sent somewhere, without most that are far from the straight
         line to that place; see `space_conflict`."""
-        frame = mover_frame(mover)
-        line = REST, frame.from_geodetic(*to)
+        frame = self._frame_of(mover)
+        line = frame.from_geodetic(*mover.here), frame.from_geodetic(*to)
         for key, track in itertools.chain(self.monitor.tracks.tracks.items(), self.monitor.tracks.lost.items()):
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
@@ -582,7 +625,9 @@ class SeparationMonitor:
             place = self._goes_to(actor, track)
             if place is None:
                 if not self._mission_is_far(actor, track, mover, to):
-                    yield from self._trajectory_way(actor, track, mover, to) or self._goes_on(actor, track, frame)
+                    yield from self._trajectory_way(actor, track, mover, to, frame) or self._goes_on(
+                        actor, track, frame
+                    )
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
             comes = self._comes_home(actor, track) is not None
@@ -620,13 +665,13 @@ class SeparationMonitor:
         )
         return box.is_apart((ecef(*mover.here), ecef(*to)), track.ecef_m, need_m, known_return_height(actor.vehicle))
 
-    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> list[Way]:
+    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place, frame: EnuFrame) -> list[Way]:
         """The way that a vehicle has still to fly on its trajectory, if it follows one, as far as it may be near a way
         to that place."""
         space = None if track.parked or track.lost else self._space(actor)
         if space is None:
             return []
-        frame, margin = mover_frame(mover), pair_margin(mover.footprint, track.footprint)
+        margin = pair_margin(mover.footprint, track.footprint)
         ball_m = self._ball_m(track) + space.bow_m
         need_m = (margin.total_m + ball_m) * max(1.0, margin.downwash_ratio) + mover.turns_m
         ends = ecef(*mover.here), ecef(*to)

@@ -14,10 +14,10 @@ have changed places would descend through each other, whatever their heights.
     return, or where it is, and was not ordered to return          that one; else it is stuck
     not clear, and somebody else's way leads through its place     climbs where it stands above that way
 
-Nobody climbs above the ceiling of its own fence, where the autopilot would act. What stands below one that waits,
-nearer than they need, does not keep it there: it climbs away from that. It is asked again a few times a second with the
-vehicles where they are then, so one leaves as soon as the part of another's way that is still to come is clear of its
-own.
+Nobody climbs above the ceiling of its own fence, where the autopilot would act, nor above `ASIDE_M`. What stands below
+one that waits, nearer than they need, does not keep it there: it climbs away from that. It is asked again a few times a
+second with the vehicles where they are then, so one leaves as soon as the part of another's way that is still to come
+is clear of its own.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ MOVED_M = 1.0
 """Farther than one that hovers wanders by noise and gusts."""
 
 ASIDE_M = 120.0
-"""Nobody climbs higher above its home only to let others by: what may be flown without a permit. It waits there."""
+"""Nobody climbs higher above its home only to let others by, or to get by: what may be flown without a permit. It waits
+where it is, for its turn, and is given up as what is stuck is."""
 
 SILENT_S = 1.0
 """The space of one whose position is older grows no more: it hovers, or flies its way home."""
@@ -218,7 +219,7 @@ class Departures:
     waits_for: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     stuck: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     fenced: frozenset[int] = frozenset()
-    """Those that would have to climb above their ceilings."""
+    """Those that would have to climb above their ceilings, or `ASIDE_M`."""
 
 
 class Progress:
@@ -325,7 +326,7 @@ def _climbs(
             yield
             up = other.up_to(goals[other.key])
             rest = [*taken, *(third.place() for third in ordered if third.key != other.key)]
-            if goals[other.key] + other.height.climb_m > other.ceiling_m:
+            if _is_too_high(other, goals[other.key]):
                 fenced.add(other.key)
             elif goals[other.key] > other.here[2] + ABOVE_M / 2 and not any(too_near(up, way) for way in rest):
                 found[other.key] = goals[other.key]
@@ -349,10 +350,9 @@ def _out_of_ways(
         yield
         through = [way for way in taken if way.key not in stays and too_near(one.place(), way) and leads_on(way)]
         goals = [_height_above(one, _over(one, way)) if way.is_known else math.inf for way in through]
-        if not goals or max(goals) > one.home[2] + ASIDE_M:
+        if not goals or math.isinf(goal_m := max(goals)):
             continue
-        goal_m = max(goals)
-        if goal_m + one.height.climb_m > one.ceiling_m:
+        if _is_too_high(one, goal_m):
             fenced.add(one.key)
             continue
         up = one.up_to(goal_m)
@@ -361,6 +361,11 @@ def _out_of_ways(
         if not any(too_near(up, way) for way in rest):
             return {one.key: goal_m}
     return {}
+
+
+def _is_too_high(one: Returning, goal_m: float) -> bool:
+    """True if it is not sent up to there: its own fence acts at its return, or it is above `ASIDE_M`."""
+    return goal_m + one.height.climb_m > one.ceiling_m or goal_m > one.home[2] + ASIDE_M
 
 
 def _over(one: Returning, way: Way) -> Way:
@@ -392,10 +397,9 @@ def _over_those_that_stay(
         yield
         goal_m = max(one.here[2], *(_height_above(one, way) for way in staying))
         raised = replace(one, here=(*one.here[:2], goal_m))
-        low = goal_m + one.height.climb_m > one.ceiling_m
-        if low:
+        if too_high := _is_too_high(one, goal_m):
             fenced.add(one.key)
-        if low or any(too_near(raised.way(), way) for way in staying):
+        if too_high or any(too_near(raised.way(), way) for way in staying):
             stuck[one.key] = tuple(way.name for way in staying)
             continue
         up = one.up_to(goal_m)

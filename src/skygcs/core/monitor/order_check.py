@@ -54,6 +54,7 @@ from skygcs.core.monitor.ways import (
     beginning,
     conflict_text,
     distance_m,
+    nearest_m,
     needed_m,
     shown_m,
     sloped,
@@ -141,6 +142,11 @@ class _Path(NamedTuple):
     def length_m(self) -> float:
         return sum(piece.duration_s * math.hypot(*piece.velocity_mps) for piece in self.pieces)
 
+    @property
+    def corners(self) -> tuple[Vector, Vector]:
+        """The box that it does not leave."""
+        return _corners([REST, *itertools.accumulate(self.pieces, _after, initial=REST)])
+
 
 def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) -> str | None:
     """With which vehicle the straight way to a place conflicts, in words; None: with none."""
@@ -193,27 +199,31 @@ def meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, 
     return (place.lat_deg, place.lon_deg, height_m), velocity
 
 
-def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False) -> str | None:
-    """With which of these ways (in `mover_frame`) the straight way to a place conflicts, in words, whichever of the two
-    is where; None: with none. ``strict``: although it is not nearer there than it is."""
-    end = mover_frame(mover).from_geodetic(*to)
-    straight = Way(mover.key, mover.name, mover.footprint, sloped((REST, end)))
-    here, mine = replace(straight, legs=standing(REST)), straight
+def space_conflict(
+    mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False, frame: EnuFrame | None = None
+) -> str | None:
+    """With which of these ways (in ``frame``, `mover_frame` by default) the straight way to a place conflicts, in
+    words, whichever of the two is where; None: with none. ``strict``: although it is not nearer there than it is."""
+    frame = frame or mover_frame(mover)
+    begin, end, velocity = frame.from_geodetic(*mover.here), frame.from_geodetic(*to), mover.velocity_mps
+    straight = Way(mover.key, mover.name, mover.footprint, sloped((begin, end)))
+    here, mine = replace(straight, legs=standing(begin)), straight
     if mover.turns_m:
-        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.turns_m, end))
+        mine = replace(straight, legs=straight.legs + turning(begin, velocity, mover.turns_m, end))
     worst: tuple[float, Way] | None = None
     for way in ways:
-        if not too_near(mine, way):
+        near_m = nearest_m(mine, way, needed_m(mine, way) if worst is None else min(worst[0], needed_m(mine, way)))
+        if near_m == math.inf:
             continue
-        near_m = distance_m(mine, way)
         if (
             not strict
             and _comes_no_nearer(here, mine, way)
             and _comes_no_nearer(here, mine, beginning(way), or_clear=True)
         ):
             continue
-        if worst is None or near_m < worst[0]:
-            worst = near_m, way
+        worst = near_m, way
+        if near_m == 0.0:
+            break
     if worst is None:
         return None
     text = conflict_text(mine, worst[1], worst[0])
@@ -254,6 +264,10 @@ def _holders(mover: Mover, frame: EnuFrame, others: Iterable[Other]) -> Iterator
             yield Holder(other.track.name, other.track.footprint, holding_disc(other, frame))
 
 
+def _after(place: Vector, piece: Piece) -> Vector:
+    return _moved(place, piece.velocity_mps, piece.duration_s)
+
+
 def _straight(to: Vector, speed_mps: float, ahead_s: float) -> _Path:
     duration_s = math.hypot(*to) / speed_mps
     if duration_s == 0.0:
@@ -269,7 +283,7 @@ def _through(points: Sequence[Vector], ahead_s: float) -> _Path:
 
 
 def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other], now: float) -> str | None:
-    length_m = path.length_m
+    length_m, corners = path.length_m, path.corners
     here_m = ecef(*mover.here)
     worst: tuple[float, str] | None = None
     for other in others:
@@ -287,6 +301,9 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         if away_m > length_m + theirs_m + radius_m * ratio:
             continue
         offset, pieces, horizon_s = _their_path(frame, other, age_s, path)
+        ends = offset, _moved(offset, pieces[0].velocity_mps, horizon_s) if pieces else offset
+        if are_apart(ends, corners, (radius_m, radius_m, radius_m * ratio)):
+            continue
         near = closest_on_paths(
             scaled(offset, ratio), scaled_pieces(path.pieces, ratio), scaled_pieces(pieces, ratio), radius_m, horizon_s
         )

@@ -73,8 +73,21 @@ class Way:
     @cached_property
     def parts(self) -> tuple[Way, ...]:
         """The way in pieces of `LEGS_A_PART` legs."""
+        if len(self.legs) <= LEGS_A_PART:
+            return (self,)
         starts = range(0, len(self.legs), LEGS_A_PART)
         return tuple(replace(self, legs=self.legs[at : at + LEGS_A_PART]) for at in starts)
+
+
+def joined(first: Way, rest: Way) -> Way:
+    """``first``, and then ``rest``, of which the parts are kept: a long one is measured once."""
+    way = replace(first, legs=(*first.legs, *rest.legs))
+    (a, b, c, d), (e, f, g, h) = first.box, rest.box
+    low_m, high_m = min(first.heights[0], rest.heights[0]), max(first.heights[1], rest.heights[1])
+    kept = {"parts": (*first.parts, *rest.parts), "box": (min(a, e), max(b, f), min(c, g), max(d, h))}
+    known = first.is_known and all(part.is_known for part in rest.parts)
+    way.__dict__.update(kept, heights=(low_m, high_m), is_known=known)  # as cached_property would
+    return way
 
 
 def standing(place: Vector) -> tuple[Leg, ...]:
@@ -188,19 +201,43 @@ def distance_m(a: Way, b: Way) -> float:
 
 def too_near(a: Way, b: Way) -> bool:
     """True if two vehicles on these ways could come nearer than they need."""
-    need_m = needed_m(a, b)
-    return _boxes_meet(a, b, need_m) and not distance_m(a, b) >= need_m
+    return nearest_m(a, b, needed_m(a, b)) < math.inf
+
+
+def nearest_m(a: Way, b: Way, below_m: float) -> float:
+    """`distance_m` if it is below this, else infinity: only the legs of parts whose boxes are so near are compared."""
+    if not (a.is_known and b.is_known):
+        return 0.0
+    ratio, least_m = pair_margin(a.footprint, b.footprint).downwash_ratio, below_m
+    if not _are_near(a, b, least_m, ratio):
+        return math.inf
+    for q in b.parts:
+        if not _are_near(a, q, least_m, ratio):
+            continue
+        for p in a.parts:
+            if not _are_near(p, q, least_m, ratio):
+                continue
+            for leg, other in itertools.product(p.legs, q.legs):
+                if _apart_by_axis_m(leg, other) < least_m:
+                    least_m = min(least_m, _legs_distance_m(leg, other, ratio))
+            if least_m == 0.0:
+                return 0.0
+    return least_m if least_m < below_m else math.inf
 
 
 def _boxes_meet(a: Way, b: Way, need_m: float) -> bool:
     """False if they are farther apart than that over the ground, or in height: most pairs of a fleet."""
-    if not (a.is_known and b.is_known):
-        return True
+    known = a.is_known and b.is_known
+    return not known or _are_near(a, b, need_m, pair_margin(a.footprint, b.footprint).downwash_ratio)
+
+
+def _are_near(a: Way, b: Way, need_m: float, ratio: float) -> bool:
+    """The same of two that are known."""
     p, q = a.box, b.box
     if p[0] - need_m > q[1] or q[0] - need_m > p[1] or p[2] - need_m > q[3] or q[2] - need_m > p[3]:
         return False
-    gap_m = max(a.heights[0] - b.heights[1], b.heights[0] - a.heights[1])
-    return gap_m < need_m * pair_margin(a.footprint, b.footprint).downwash_ratio
+    (low_m, high_m), (other_low_m, other_high_m) = a.heights, b.heights
+    return low_m - other_high_m < need_m * ratio and other_low_m - high_m < need_m * ratio
 
 
 def find_way_conflicts(starting: Sequence[Way], others: Sequence[Way], found: dict[int, str]) -> Iterator[None]:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.monitor.departures import (
     ABOVE_M,
+    ASIDE_M,
     AT_HOME_M,
     MOVED_M,
     OTHERS_S,
@@ -313,6 +314,17 @@ def test_nobody_climbs_out_of_its_own_fence() -> None:
     stays = at(9, (0.0, 0.0, 16.0), (0.0, 0.0)).place()
     over = departures([replace(at(1, (-20, 0, 10), (20, 0)), ceiling_m=20.0)], [], [stays], {9})
     assert over.stuck == {1: ("v9",)} and over.fenced == {1}
+
+
+def test_nobody_climbs_above_what_may_be_flown_only_to_let_others_by() -> None:
+    """With no fence that is known it climbed as high as others' ways led."""
+    for up_m, climbs in ((ASIDE_M - 2.0 * MARGIN_M - 1.1, True), (ASIDE_M - 2.0 * MARGIN_M - 0.9, False)):
+        high = ReturnHeight(up_m, up_m)
+        pair = departures([at(1, (0, 0, 10), (5, 0), high), at(2, (5, 0, 10), (0, 0), high)], [])
+        assert pair.leave == () and bool(pair.climb) is climbs and (pair.fenced == {1, 2}) is not climbs
+        stays = at(9, (0.0, 0.0, up_m), (0.0, 0.0)).place()
+        over = departures([at(1, (-20, 0, up_m), (20, 0), high)], [], [stays], {9})
+        assert bool(over.climb) is climbs and (over.stuck == {1: ("v9",)}) is not climbs
 
 
 def test_what_is_below_one_keeps_it_from_nothing_but_a_way_down_there() -> None:
