@@ -35,6 +35,9 @@ JUMPS = frozenset({mav_cmd.DO_JUMP, mav_cmd.DO_JUMP_TAG})
 LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
 
 
+PASSES = "; all that is left of its mission counts: order this when {name} is past, or pause it (mission pause {name})"
+"""To a person, of a mission that is in the way."""
+
 ON_GROUND_M = 1.0
 """A leg that is so near the lowest of its way ends on the ground: heights of landings are those of home."""
 
@@ -58,7 +61,7 @@ class MissionRun(NamedTuple):
 
 
 class MissionOf(NamedTuple):
-    """What the way of a mission is made of. Places are geodetic, ``home`` among them; the way is in ``frame``."""
+    """Parts of which the way of a mission is made. Places are geodetic, ``home`` among them; the way is in ``frame``."""
 
     key: int
     name: str
@@ -88,7 +91,8 @@ class MissionSpace:
     def _way(self, begin: Vector, run: MissionRun, least_m: float = 0.0) -> Way:
         legs, widest_m = _legs(run, begin, self._base, self.of.home, self.of.frame)
         ball_m = max(least_m, widest_m, self.of.circle_m)
-        return Way(self.of.key, self.of.name, self.of.footprint, tuple(legs), ball_m, "on its mission")
+        name, doing = self.of.name, "on its mission"
+        return Way(self.of.key, name, self.of.footprint, tuple(legs), ball_m, doing, PASSES.format(name=name))
 
     def way(self, here: Place) -> Way:
         """Its way from here on; the second leg leads to the next place."""

@@ -51,6 +51,8 @@ class Way:
     ball_m: float = 0.0
     """How far it may be from its way, because its last position is old, or because it brakes first."""
     doing: str = "in the air"
+    hint: str = ""
+    """Added to what is said of a conflict with it: what would help."""
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
@@ -282,7 +284,7 @@ def conflict_text(way: Way, other: Way, near_m: float) -> str:
     near, needed = shown_m(near_m, needed_m(way, other))
     return (
         f"{way.name} would come {near} m near {other.name} ({other.doing}); they need {needed} m, "
-        f"heights divided by {ratio:g}"
+        f"heights divided by {ratio:g}{other.hint}"
     )
 
 
