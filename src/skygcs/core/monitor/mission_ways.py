@@ -61,7 +61,7 @@ class MissionRun(NamedTuple):
 
 
 class MissionOf(NamedTuple):
-    """Parts of which the way of a mission is made. Places are geodetic, ``home`` among them; the way is in ``frame``."""
+    """Parts of which the way of a mission is made. Places are geodetic; the way is in ``frame``."""
 
     key: int
     name: str
