@@ -44,7 +44,6 @@ from skygcs.core.monitor.departures import (
     ASIDE_M,
     AT_A_TURN,
     MOVED_M,
-    STANDS_MPS,
     STUCK_S,
     Departures,
     Progress,
@@ -318,8 +317,7 @@ class Returns:
         do; empty, too, if it does not fly anywhere. ``held``: keys of those that hold with it."""
         frame = self._members.frame
         one = self._members.returning(actor, self._loop.time())
-        moves = one is not None and math.hypot(*one.velocity_mps) > STANDS_MPS
-        if one is None or frame is None or not moves or self._monitor.why_leaving(actor) is None:
+        if one is None or frame is None or self._monitor.why_leaving(actor) is None:
             return []
         rest, ways = one.place(), self._monitor.present_ways(frame, {*held, one.key})
         come = (way for way, _ in ways if leads_on(way) and too_near(rest, way) and not too_near(rest, beginning(way)))

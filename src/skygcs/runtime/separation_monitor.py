@@ -64,10 +64,14 @@ from skygcs.core.monitor.ways import (
     Leg,
     Way,
     are_apart,
+    beginning,
+    conflict_text,
+    distance_m,
     find_way_conflicts,
     joined,
     sloped,
     standing,
+    too_near,
     turning,
     turning_points,
 )
@@ -414,23 +418,29 @@ class SeparationMonitor:
         return [self._way_home(actor, track, frame, home, lands=lands)]
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
-        """Which of these ways come down on a vehicle that stands, and why that is refused."""
+        """Which of these ways come down on a vehicle that stands, or lead low over it, and why that is refused. The way
+        up may begin beside it: launch pads are often near each other."""
         refused, frame = dict[VehicleActor, str](), self.monitor.tracks.frame
         if frame is None:
             return refused
-        standing = [track for track in self.monitor.tracks.tracks.values() if track.parked]
+        tracks = [track for track in self.monitor.tracks.tracks.values() if track.parked]
         for actor, way in ways.items():
             home = actor.vehicle.telemetry("home")
             at_home = (
                 way.legs[0].begin if home is None else frame.from_geodetic(home["lat_deg"], home["lon_deg"], 0.0)[:2]
             )
-            for track in standing:
+            for track in tracks:
                 if track.key == way.key:
                     continue
                 off_m = landing_distance_m(way, frame.from_ecef(track.ecef_m)[:2], at_home)
                 if off_m < pair_margin(way.footprint, track.footprint).total_m:
                     where = f"{off_m:.1f} m from {track.name}, which stands there"
                     refused[actor] = f"{way.name} would land {where}; {FORCE_HINT}"
+                parked = Way(track.key, track.name, track.footprint, standing(frame.from_ecef(track.ecef_m)))
+                over = replace(way, legs=tuple(leg for leg in way.legs if leg.begin != leg.end))
+                if over.legs and too_near(over, parked) and not too_near(beginning(way), parked):
+                    text = conflict_text(over, replace(parked, doing="parked"), distance_m(over, parked))
+                    refused.setdefault(actor, f"{text}; {FORCE_HINT}")
         return refused
 
     async def mission_overlaps(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
@@ -702,14 +712,17 @@ class SeparationMonitor:
         if here is None or position is None or at is None:
             return None
         circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
-        east, north, up = position["vel_enu_mps"]
-        track = self.monitor.tracks.tracks.get(vehicle.key)
-        samples = () if track is None else track.history
-        velocity = soon_mps(samples, Sample(at, (east, north, up))) if is_flying(vehicle, now) else REST
+        velocity = self.soon_mps(vehicle, at, position["vel_enu_mps"]) if is_flying(vehicle, now) else REST
         mover = Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
         before = self._destination(vehicle.key)
         way = REST if before is None else mover_frame(mover).from_geodetic(*before)
         return replace(mover, stops_in_m=math.hypot(*way)) if arrives(velocity, way, brake_mps2) else mover
+
+    def soon_mps(self, vehicle: Vehicle, at: float, velocity_mps: Sequence[float]) -> Vector:
+        """The velocity of a vehicle, reported at that time, when an order makes it turn."""
+        east, north, up = velocity_mps
+        track = self.monitor.tracks.tracks.get(vehicle.key)
+        return soon_mps(() if track is None else track.history, Sample(at, (east, north, up)))
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
