@@ -54,6 +54,7 @@ async def test_one_mission_for_two_at_one_height_is_refused_unless_insisted_on(t
         gcs.actor("v1").missions.forget(MissionType.MISSION)
         refused = await gcs.outcome("missions.start", "v2")
         assert refused["result"] == "refused" and "near v1 (on its mission)" in refused["message"], refused
+        assert "order this when v1 is past, or pause it (mission pause v1)" in refused["message"], refused
         # side by side is no overlap, though this one was put on board by another station: it is read
         apart = [(x + 5.0, y, up) for x, y, up in same[:1]]
         await gcs.done("missions.upload", targets="v2", plan=mission(*apart, home=homes["v2"]))

@@ -249,3 +249,25 @@ async def test_an_order_across_the_way_of_another_one_is_refused(tmp_path: Path,
             text = await order(gcs)
             assert text.startswith(expected), (method, kind, text)
             assert "v2" in text or expected.startswith("accepted"), (method, kind, text)
+
+
+@pytest.mark.parametrize(
+    ("method", "params"), [("vehicles.rtl", {}), ("missions.start", {}), ("vehicles.goto", {"enu_m": list(EAST)})]
+)
+async def test_an_order_counts_as_its_way_from_when_it_is_given(
+    tmp_path: Path, method: str, params: dict[str, Any]
+) -> None:
+    """Until its mode showed, a mission and a return were no way to others (random flight 102)."""
+    async with field(tmp_path, "px4") as gcs:
+        for name, place in (("v2", WEST), ("v3", SOUTH)):
+            put(gcs, name, place)
+        await asyncio.sleep(SEEN_S)
+        await gcs.done("missions.upload", "v2", plan=mission(WEST, EAST))
+        await gcs.done("missions.upload", "v3", plan=mission(SOUTH, NORTH))
+        gcs.uplink_delay_s = 0.5
+        begun = asyncio.ensure_future(gcs.outcome(method, "v2", **params))
+        await asyncio.sleep(0.1)
+        for order, also in (("vehicles.goto", {"enu_m": list(NORTH)}), ("missions.start", {})):
+            text = await said(gcs, order, "v3", **also)
+            assert text.startswith("refused: ") and "v2" in text, (order, text)
+        assert (await begun)["ok"]

@@ -62,6 +62,21 @@ async def test_one_that_waits_where_another_one_flies_through_gets_out_of_its_wa
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
+@KINDS
+async def test_one_does_not_stop_before_another_that_follows_it(tmp_path: Path, kind: dict[str, int]) -> None:
+    """It held at once, and the other one passed it at 1.3 m (random flight 58)."""
+    async with aloft(tmp_path, **kind) as gcs:
+        x, y, up = gcs.place("v1")
+        await gcs.done("vehicles.goto", targets="all", enu_m=[x - 60.0, y, up])
+        await gcs.until(lambda: gcs.place("v1")[0] < x - 12.0, 20.0)
+        since = gcs.now
+        outcome = await gcs.outcome("vehicles.rtl", "v1")
+        assert outcome["message"].startswith("it flies on while v2 flies to where it would stop"), outcome
+        await gcs.until(lambda: gcs.sim("v1").motion.on_ground, 150.0)
+        assert least_distance(gcs, since)[0] > MARGIN_M
+        assert gcs.place("v1")[0] == pytest.approx(x, abs=2.0)
+
+
 @pytest.mark.deep
 async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> None:
     settings = {"operator_timeout_s": 20.0, "operator_lost": "rtl"}

@@ -431,10 +431,11 @@ class FleetOrders:
             if first is not None and actor.vehicle.connected and not actor.vehicle.replayed:
                 starting[actor] = first
         others = [a for a in self._targets.vehicles.values() if a not in starting and is_flying(a.vehicle, now)]
+        alone = {a: MissionRun(a.missions.items, first) for a, first in starting.items() if a.missions.items}
+        self._monitor.begin_missions(alone)
         if arguments.get("force") or self._monitor.mode == "off" or not starting:
             return {}
         if len(starting) + len(others) < 2:  # one alone may only land on one that stands: nothing is read for that
-            alone = {a: MissionRun(a.missions.items, first) for a, first in starting.items() if a.missions.items}
             return await self._monitor.mission_refusals(alone)
         heard = [a for a in others if a.vehicle.connected and not a.vehicle.replayed]
         flying = [a for a in heard if a.vehicle.mode in mission_orders.MISSION_MODES]

@@ -203,7 +203,7 @@ class ReturnMembers:
             vehicle.name,
             self._monitor.footprint(actor),
             self.frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]),
-            position["vel_enu_mps"],
+            self._monitor.soon_mps(vehicle, at, position["vel_enu_mps"]),
             home_m,
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),

@@ -7,6 +7,8 @@ again. One that has to return is, of `Step`:
 
     step     what it does                            next
     ------   -------------------------------------   -------------------------------------------------------------
+    GOES_ON  flies on where it was sent: somebody    HOLDS, once nobody does, it is there, or after `GOES_ON_S`
+             flies to where it would come to rest
     HOLDS    its hold is being sent                  WAITS; LEAVES, if it cannot hold
     WAITS    holds, until its way home is clear      CLIMBS, LEAVES; given up: goes on holding, or lands (``at_end``)
     CLIMBS   is being sent up, where it stands       WAITS
@@ -32,13 +34,14 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal
 
 from skygcs.core.monitor.conflict_levels import COMING_HOME
 from skygcs.core.monitor.departures import (
+    ASIDE_M,
     AT_A_TURN,
     MOVED_M,
     STUCK_S,
@@ -51,7 +54,7 @@ from skygcs.core.monitor.departures import (
     why_not_held,
 )
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.monitor.ways import Way
+from skygcs.core.monitor.ways import Way, beginning, leads_on, too_near
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.orders import Where, goto
 from skygcs.events import Event
@@ -73,6 +76,9 @@ AGAIN_S = 5.0
 HELD_S = 10.0
 """After a hold of the daemon's own, as for its distance to another: that other one has passed by then, or is held."""
 
+GOES_ON_S = 30.0
+"""Longest flight of one that may not stop before others: 150 m of a goto. Then it holds, as it was ordered."""
+
 AtEnd = Literal["hold", "land"]
 
 HOLDS_IN = frozenset({"AUTO.LOITER", "GUIDED", "BRAKE"})
@@ -84,6 +90,7 @@ NEWER = "it does not return by this order: a newer order took its place"
 class Step(Enum):
     """See the table of this module."""
 
+    GOES_ON = auto()
     HOLDS = auto()
     WAITS = auto()
     CLIMBS = auto()
@@ -115,6 +122,8 @@ class Waiting:
     """The mode that our hold, or our climb, left it in."""
     ordered_at: float = -math.inf
     """When that ended."""
+    behind: Sequence[str] = ()
+    """Names of those that fly to where it would come to rest."""
     hint: str = ""
     """Added to what is said of its wait: how a person ends it."""
 
@@ -201,6 +210,8 @@ class Returns:
             if alone is not None:
                 waits.hint = f"; ordered again (skygcs-cli rtl {actor.name}), it returns at once"
             older = self._waiting.get(key)
+            if step is Step.HOLDS and (behind := self._flies_behind(actor, decided.waits_for)):
+                waits.step, waits.behind = Step.GOES_ON, behind
             if older is not None and older.actor is actor and older.has_waited:
                 waits.asked_at = older.asked_at
                 waits.has_waited, waits.order_number = True, older.order_number
@@ -244,9 +255,9 @@ class Returns:
         self._members.leaves_now(actor)
 
     def waits(self, key: int) -> bool:
-        """True if the vehicle holds, or climbs, until it is sent home by this round."""
+        """True if the vehicle holds, climbs or flies on until it is sent home by this round."""
         waits = self._waiting.get(key)
-        return waits is not None and waits.has_waited
+        return waits is not None and (waits.has_waited or waits.step is Step.GOES_ON)
 
     def end(self, why: str) -> None:
         """End the returns: those that wait go on holding."""
@@ -275,6 +286,8 @@ class Returns:
         actor = waits.actor
         if (why := why_not_held(actor.vehicle)) is not None:  # it began after the decision, and must not be stopped
             return self._spared(waits, why)
+        if waits.step is Step.GOES_ON:
+            return self._go_on(waits)
         are = "is" if len(waits.told) == 1 else "are"
         text = f"it holds until {enumerated(waits.told)} {are} out of its way home, and returns then{waits.hint}"
         goes_on = actor.order_number == waits.order_number and actor.vehicle.custom_mode == waits.custom_mode
@@ -298,6 +311,51 @@ class Returns:
         waits.step = Step.LEAVES
         self._members.leaves_now(actor)
         return await self._return_now(waits)
+
+    def _flies_behind(self, actor: VehicleActor, held: Collection[int]) -> list[str]:
+        """Names of those that fly to where this one would come to rest now, as those that were sent somewhere together
+        do; empty, too, if it does not fly anywhere. ``held``: keys of those that hold with it."""
+        frame = self._members.frame
+        one = self._members.returning(actor, self._loop.time())
+        if one is None or frame is None or self._monitor.why_leaving(actor) is None:
+            return []
+        rest, ways = one.place(), self._monitor.present_ways(frame, {*held, one.key})
+        come = (way for way, _ in ways if leads_on(way) and too_near(rest, way) and not too_near(rest, beginning(way)))
+        return [way.name for way in come]
+
+    def _go_on(self, waits: Waiting) -> Outcome:
+        """It flies on where it was sent, and holds later (`_hold_later`)."""
+        actor = waits.actor
+        fly = "flies" if len(waits.behind) == 1 else "fly"
+        text = (
+            f"it flies on while {enumerated(waits.behind)} {fly} to where it would stop, at most {GOES_ON_S:g} s; then "
+            f"it holds until {enumerated(waits.told)} {'is' if len(waits.told) == 1 else 'are'} out of its way home, "
+            f"and returns{waits.hint}"
+        )
+        waits.order_number, waits.custom_mode = actor.order_number, actor.vehicle.custom_mode
+        actor.runner.precedence.note_effect()
+        self._report(actor, text)
+        return Outcome(True, "accepted", text, order_number=waits.order_number)
+
+    def _hold_those_that_may(self) -> None:
+        """Hold those that flew on, once nobody flies to where they stop."""
+        now = self._loop.time()
+        going = [waits for waits in self._waiting.values() if waits.step is Step.GOES_ON and waits.begun]
+        for waits in going:
+            if not self._is_ours(waits):
+                continue
+            if now - waits.asked_at > GOES_ON_S or not self._flies_behind(waits.actor, ()):
+                waits.step = Step.HOLDS
+                self._tasks.start(self._hold_later(waits), f"hold of {waits.actor.name}", waits.serial)
+
+    async def _hold_later(self, waits: Waiting) -> None:
+        """A turn of the loop after it was decided."""
+        if not self._is_ours(waits):
+            waits.step = Step.GOES_ON
+            return
+        outcome = await waits.actor.hold(spares=COMING_HOME)
+        if self._is_current(waits):
+            self._ordered(waits, outcome)
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
         """Drop a vehicle that was to wait but goes home by itself; returns its outcome."""
@@ -347,6 +405,7 @@ class Returns:
                 self._report(actor, "it holds at the end of its return: those that wait fly home above it, if at all")
             waiting = [waits for waits in self._waiting.values() if waits.step is Step.WAITS]
             ready = [waits.actor for waits in waiting if self._is_ours(waits)]
+            self._hold_those_that_may()
             self._carry_out(await self._decide(ready))
         if not self._moves() and self._members.is_read():
             self._give_up([(waits, waits.told) for waits in self._waiting.values()])
@@ -396,7 +455,8 @@ class Returns:
 
     def _is_settling(self, waits: Waiting) -> bool:
         """True if its mode may still be that of a hold, or of a repeat of it, which a slow link brings late."""
-        return waits.actor.vehicle.mode in HOLDS_IN and self._loop.time() - waits.ordered_at < TAKES_S
+        lately = self._loop.time() - waits.ordered_at < TAKES_S
+        return waits.actor.vehicle.mode in HOLDS_IN and (lately or waits.step is Step.GOES_ON)
 
     def _adopt(self, waits: Waiting, pause_s: float) -> None:
         """An order that changes nothing of its wait has ended: it was refused, or was a hold of the daemon's own."""
@@ -449,8 +509,9 @@ class Returns:
         waiting = [one for actor in free if (one := self._members.returning(actor, now)) is not None]
         under_way: list[Returning] = []
         fixed: list[Way] = []
+        going = {key for key, waits in self._waiting.items() if waits.step is Step.GOES_ON}
         for actor in self._members.actors():
-            one = None if actor in free else self._members.returning(actor, now)
+            one = None if actor in free or actor.vehicle.key in going else self._members.returning(actor, now)
             if one is None:
                 continue
             flies, comes = is_flying(actor.vehicle, now), self._is_under_way(actor, now)
@@ -461,7 +522,7 @@ class Returns:
         # those that are not ordered to return
         stays, moving = set(self._members.staying), set[str]()
         frame = frame_at(free[0].vehicle) if self._members.frame is None and free else self._members.frame
-        present = () if frame is None else self._monitor.present_ways(frame, self._members.keys())
+        present = () if frame is None else self._monitor.present_ways(frame, self._members.keys() - going)
         for n, (way, still) in enumerate(present):
             if n % AT_A_TURN == AT_A_TURN - 1:
                 await asyncio.sleep(0)
@@ -592,7 +653,8 @@ class Returns:
         stays = "stays" if len(names) == 1 else "stay"
         held = [name for name in names if name in staying]
         at_end = f" ({enumerated(held)} after a return that ends in a hold)" if held else ""
-        low = f", and {enumerated(self._fenced)} would have to climb out of its own fence" if self._fenced else ""
+        low = f", and {enumerated(self._fenced)} would have to climb out of its own fence, or above {ASIDE_M:g} m"
+        low = low if self._fenced else ""
         return f"{enumerated(names)} {stays} in its way home{at_end}{low}"
 
     async def _land(self, waits: Waiting) -> None:

@@ -12,11 +12,18 @@ from typing import Any, NamedTuple
 
 from skygcs.config.models import VehicleConfig
 from skygcs.config.vehicle_tables import MonitorConfig
-from skygcs.core.geo import EnuFrame, ecef, world_from_enu
+from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
 from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
-from skygcs.core.monitor.mission_ways import MissionBox, MissionRun, landing_distance_m, mission_box, mission_way
+from skygcs.core.monitor.mission_ways import (
+    MissionBox,
+    MissionOf,
+    MissionRun,
+    MissionSpace,
+    landing_distance_m,
+    mission_box,
+)
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import (
     FORGET,
@@ -39,8 +46,6 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     space_conflict,
     takeoff_conflict,
-    turning,
-    turning_points,
 )
 from skygcs.core.monitor.tracks import (
     PLAN_STEP_S,
@@ -48,12 +53,28 @@ from skygcs.core.monitor.tracks import (
     USUAL_BRAKE_MPS2,
     Member,
     Place,
+    Sample,
     Track,
     arrives,
     is_flying,
+    soon_mps,
     way_to,
 )
-from skygcs.core.monitor.ways import Leg, Way, are_apart, find_way_conflicts, sloped, standing
+from skygcs.core.monitor.ways import (
+    Leg,
+    Way,
+    are_apart,
+    beginning,
+    conflict_text,
+    distance_m,
+    find_way_conflicts,
+    joined,
+    sloped,
+    standing,
+    too_near,
+    turning,
+    turning_points,
+)
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle.frames import Setpoint
@@ -77,6 +98,15 @@ SHARE = 0.1
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
+
+BEGINS_S = 1.0
+"""From the check of an order to its entry in the vehicle's ledger, at most: it is sent at once."""
+
+HOME_OR_DOWN = {"rtl": False, "land": True, "stop": True}
+"""Orders after which a vehicle flies home, or comes down where it is (True)."""
+
+FIELD_M = 10_000.0
+"""In a frame whose origin is farther away, up is more than 0.1 degrees off."""
 
 MAX_HOLDS = 64
 """Orders to hold in progress at one time; each lasts seconds."""
@@ -119,9 +149,15 @@ class SeparationMonitor:
         self._tasks = TaskSet(loop, on_event)
         self._destinations: dict[int, Destination] = {}
         self._serials = itertools.count()
+        self._beginning: dict[int, tuple[MissionRun, float]] = {}
+        """By key, the mission that a vehicle is being ordered to fly, and when that was checked."""
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
         self._boxes: dict[int, MissionBox] = {}
+        self._missions: dict[int, MissionSpace] = {}
+        """The missions that are flown, in `_frame`."""
+        self._frame: EnuFrame | None = None
+        """The frame in which ways are compared with that of an order."""
 
     # -- the watch
 
@@ -157,13 +193,15 @@ class SeparationMonitor:
             yield
         for key in self._destinations.keys() - self._actors.keys():
             del self._destinations[key]
+        for key in self._beginning.keys() - self._actors.keys():
+            del self._beginning[key]
 
     def _members(self) -> Iterator[Member]:
         for key, actor in list(self._actors.items()):
             footprint, priority = self._settings(key, actor)
             self._space(actor)  # so that no order has to wait until those of a fleet are made
             yield Member(actor.vehicle, footprint, priority, self._destination(key), self._trajectory(actor))
-        for table in (self._footprints, self._spaces, self._boxes):
+        for table in (self._footprints, self._spaces, self._boxes, self._missions):
             for key in table.keys() - self._actors.keys():
                 del table[key]
 
@@ -270,7 +308,7 @@ class SeparationMonitor:
         if mover is None:
             return None
         conflict = goto_conflict(mover, to, self._others(together, only=only), self._loop.time())
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to, together, only=only)))
+        return self._refusal(conflict or self._crosses(mover, to, together, only=only))
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
@@ -285,7 +323,7 @@ class SeparationMonitor:
         else:
             to = mover_frame(mover).to_geodetic(0.0, 0.0, height_m)
             conflict = takeoff_conflict(mover, height_m, others, now)
-        return self._refusal(conflict or space_conflict(mover, to, self._ways(mover, to), strict=ahead is None))
+        return self._refusal(conflict or self._crosses(mover, to, strict=ahead is None))
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
@@ -326,6 +364,7 @@ class SeparationMonitor:
                     others.append(self._way_left(other, track, frame))
                 else:
                     others += self._goes_on(other, track, frame)
+                others += self._begins(other, track, frame)
                 continue
             at = places_in(frame, local, flight, now)
             others.append(on_trajectory(other.vehicle, track.footprint, flight.loaded, flight.clock, at))
@@ -340,34 +379,68 @@ class SeparationMonitor:
         """Which of these missions, that begin or go on now, lead too near each other's, a mission that another vehicle
         flies, or a vehicle that flies otherwise, or end on one that stands, and why. They are compared as space, in
         turns with others."""
+        self.begin_missions(starting)
         ways, frame = await self._mission_ways(starting), self.monitor.tracks.frame
-        others = []
+        others = list[Way]()
         for key, track in {**self.monitor.tracks.lost, **self.monitor.tracks.tracks}.items():
             actor = self._actors.get(key)
             waits = track.parked and self._destination(key) is None
             if actor is None or actor in starting or waits or frame is None:
                 continue
             others.append(self._flown_mission(actor, frame) or self._way_left(actor, track, frame))
-        return await self._way_refusals(ways, others) | self._landing_refusals(ways)
+            others += self._begins(actor, track, frame)
+        refused = await self._way_refusals(ways, others) | self._landing_refusals(ways)
+        for actor in refused:
+            self._beginning.pop(actor.vehicle.key, None)
+        return refused
+
+    def begin_missions(self, runs: Mapping[VehicleActor, MissionRun]) -> None:
+        """These are being ordered to fly these missions: for every other order they do so until theirs has ended."""
+        now = self._loop.time()
+        self._beginning |= {actor.vehicle.key: (run, now) for actor, run in runs.items()}
+
+    def _begins(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
+        """The ways of a vehicle by an order that is being given to it, which its telemetry does not show yet: along a
+        mission, home or down."""
+        ledger, ways = actor.runner.ledger, self._begins_home(actor, track, frame)
+        run, checked_at = self._beginning.get(track.key, (None, 0.0))
+        if run is not None and not ledger.in_progress and self._loop.time() - checked_at > BEGINS_S:
+            del self._beginning[track.key]
+        elif run is not None and (way := self._mission_way(actor, run, frame)) is not None:
+            ways.append(way)
+        return ways
+
+    def _begins_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
+        """The same, but for missions."""
+        lands, home = HOME_OR_DOWN.get(actor.runner.ledger.newest_in_progress), actor.vehicle.telemetry("home")
+        if lands is None or home is None or actor.vehicle.mode in COMING_HOME or not self._hovers(track):
+            return []
+        return [self._way_home(actor, track, frame, home, lands=lands)]
 
     def _landing_refusals(self, ways: Mapping[VehicleActor, Way]) -> dict[VehicleActor, str]:
-        """Which of these ways come down on a vehicle that stands, and why that is refused."""
+        """Which of these ways come down on a vehicle that stands, or lead low over it, and why that is refused. The way
+        up may begin beside it: launch pads are often near each other."""
         refused, frame = dict[VehicleActor, str](), self.monitor.tracks.frame
         if frame is None:
             return refused
-        standing = [track for track in self.monitor.tracks.tracks.values() if track.parked]
+        tracks = [track for track in self.monitor.tracks.tracks.values() if track.parked]
         for actor, way in ways.items():
             home = actor.vehicle.telemetry("home")
             at_home = (
                 way.legs[0].begin if home is None else frame.from_geodetic(home["lat_deg"], home["lon_deg"], 0.0)[:2]
             )
-            for track in standing:
+            for track in tracks:
                 if track.key == way.key:
                     continue
                 off_m = landing_distance_m(way, frame.from_ecef(track.ecef_m)[:2], at_home)
                 if off_m < pair_margin(way.footprint, track.footprint).total_m:
                     where = f"{off_m:.1f} m from {track.name}, which stands there"
                     refused[actor] = f"{way.name} would land {where}; {FORCE_HINT}"
+                parked = Way(track.key, track.name, track.footprint, standing(frame.from_ecef(track.ecef_m)))
+                over = replace(way, legs=tuple(leg for leg in way.legs if leg.begin != leg.end))
+                if over.legs and too_near(over, parked) and not too_near(beginning(way), parked):
+                    text = conflict_text(over, replace(parked, doing="parked"), distance_m(over, parked))
+                    refused.setdefault(actor, f"{text}; {FORCE_HINT}")
         return refused
 
     async def mission_overlaps(self, runs: Mapping[VehicleActor, MissionRun]) -> dict[VehicleActor, str]:
@@ -415,11 +488,17 @@ class SeparationMonitor:
         run = run._replace(return_end=ends)
         if run.returns and run.height == UNKNOWN:
             run = run._replace(height=known_return_height(vehicle))
-        way = mission_way(mover.key, mover.name, mover.footprint, run, mover.here, base, frame, vehicle.mission_reach_m)
+        of = MissionOf(mover.key, mover.name, mover.footprint, run, base, frame, vehicle.mission_reach_m)
+        space = self._missions.get(mover.key)
+        if space is None or space.of != of:
+            space = MissionSpace(of)
+            if frame is self._frame:
+                self._missions[mover.key] = space
+        way = space.way(mover.here)
         here, first = frame.from_geodetic(*mover.here), way.legs[min(1, len(way.legs) - 1)]
         velocity = world_from_enu(mover.velocity_mps, frame.origin)
         turns = _turning(mover, here, velocity, (*first.end, here[2]))
-        return replace(way, legs=(*way.legs, *turns)) if turns else way
+        return joined(way, replace(way, legs=turns)) if turns else way
 
     def present_ways(
         self, frame: EnuFrame, without: Collection[int], *, parked: bool = False
@@ -437,6 +516,7 @@ class SeparationMonitor:
             stays = math.hypot(east - west, north - south, high_m - low_m) <= ARRIVED_M
             led = actor.offboard.flying or actor.vehicle.mode in MISSION_MODES
             yield way, waits or (stays and not led)
+            yield from ((begins, False) for begins in self._begins_home(actor, track, frame))
 
     def why_leaving(self, actor: VehicleActor) -> str | None:
         """Why a vehicle that stands is not to be taken to stay there, in words; None: nobody has sent it anywhere."""
@@ -474,30 +554,40 @@ class SeparationMonitor:
         ball_m = self._ball_m(track) + holds.radius_m + bow_m
         return Way(track.key, track.name, self.footprint(actor), sloped(points) + turns, ball_m, doing)
 
+    @staticmethod
+    def _hovers(track: Track) -> bool:
+        return not track.parked and not track.circle_m
+
     def _comes_home(self, actor: VehicleActor, track: Track) -> Mapping[str, Any] | None:
         """The home of one that comes home or down, by whatever order or failsafe; None: it does not, or not so that its
         way is known."""
-        comes = actor.vehicle.mode in COMING_HOME and not track.parked and not track.circle_m
+        comes = actor.vehicle.mode in COMING_HOME and self._hovers(track)
         return actor.vehicle.telemetry("home") if comes else None
 
     def _way_left(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> Way:
-        """The way that a vehicle has still to fly: home or down, or to where skygcs has sent it. A return height that
-        was not read is taken to be the height that it is at."""
-        vehicle, home = actor.vehicle, self._comes_home(actor, track)
+        """The way that a vehicle has still to fly: home or down, or to where skygcs has sent it."""
+        home = self._comes_home(actor, track)
         if home is None:
             return self._present_way(actor, track, frame, ahead=False)
+        return self._way_home(actor, track, frame, home, lands=actor.vehicle.mode in LANDING)
+
+    def _way_home(
+        self, actor: VehicleActor, track: Track, frame: EnuFrame, home: Mapping[str, Any], *, lands: bool
+    ) -> Way:
+        """Its way home, or down where it is (``lands``). A return height that was not read is taken to be the height
+        that it is at."""
         one = Returning(
             track.key,
             track.name,
             self.footprint(actor),
             frame.from_ecef(track.ecef_m),
-            track.reported_mps,
+            (0.0, 0.0, track.reported_mps[2]),  # how it turns is added
             frame.from_geodetic(home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]),
-            known_return_height(vehicle),
-            lands=vehicle.mode in LANDING,
+            known_return_height(actor.vehicle),
+            lands=lands,
         )
         way = one.as_seen().way(under_way=True)
-        to = one.here if one.lands else (*one.home[:2], one.here[2])
+        to = one.here if lands else (*one.home[:2], one.here[2])
         turns = _turning(track, one.here, _along(track, frame), to)
         return replace(way, legs=way.legs + turns, doing=_doing(track, way.doing))
 
@@ -508,21 +598,46 @@ class SeparationMonitor:
             return self._destination(track.key)
         return home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]
 
+    def _frame_of(self, mover: Mover) -> EnuFrame:
+        """The frame in which ways are compared with that of an order: the same one for a field, so that missions stay
+        made (`MissionSpace`)."""
+        lat_deg, lon_deg, _ = mover.here
+        if self._frame is None or math.hypot(*self._frame.from_geodetic(lat_deg, lon_deg, 0.0)) > FIELD_M:
+            self._frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
+            self._missions.clear()
+        return self._frame
+
+    def _crosses(
+        self,
+        mover: Mover,
+        to: Place,
+        together: frozenset[int] = frozenset(),
+        *,
+        only: frozenset[int] | None = None,
+        strict: bool = False,
+    ) -> str | None:
+        """With which way of another vehicle the straight way to a place conflicts, in words; None: with none."""
+        ways = self._ways(mover, to, together, only=only)
+        return space_conflict(mover, to, ways, strict=strict, frame=self._frame_of(mover))
+
     def _ways(
         self, mover: Mover, to: Place, together: frozenset[int] = frozenset(), *, only: frozenset[int] | None = None
     ) -> Iterator[Way]:
         """The ways of those that come home or down, or were sent somewhere, without most that are far from the straight
         line to that place; see `space_conflict`."""
-        frame = mover_frame(mover)
-        line = REST, frame.from_geodetic(*to)
+        frame = self._frame_of(mover)
+        line = frame.from_geodetic(*mover.here), frame.from_geodetic(*to)
         for key, track in itertools.chain(self.monitor.tracks.tracks.items(), self.monitor.tracks.lost.items()):
             actor = self._actors.get(key)
             if actor is None or key in together or key == mover.key or (only is not None and key not in only):
                 continue
+            yield from self._begins(actor, track, frame)
             place = self._goes_to(actor, track)
             if place is None:
                 if not self._mission_is_far(actor, track, mover, to):
-                    yield from self._trajectory_way(actor, track, mover, to) or self._goes_on(actor, track, frame)
+                    yield from self._trajectory_way(actor, track, mover, to, frame) or self._goes_on(
+                        actor, track, frame
+                    )
                 continue
             margin, ball_m = pair_margin(mover.footprint, track.footprint), self._ball_m(track)
             comes = self._comes_home(actor, track) is not None
@@ -560,13 +675,13 @@ class SeparationMonitor:
         )
         return box.is_apart((ecef(*mover.here), ecef(*to)), track.ecef_m, need_m, known_return_height(actor.vehicle))
 
-    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> list[Way]:
+    def _trajectory_way(self, actor: VehicleActor, track: Track, mover: Mover, to: Place, frame: EnuFrame) -> list[Way]:
         """The way that a vehicle has still to fly on its trajectory, if it follows one, as far as it may be near a way
         to that place."""
         space = None if track.parked or track.lost else self._space(actor)
         if space is None:
             return []
-        frame, margin = mover_frame(mover), pair_margin(mover.footprint, track.footprint)
+        margin = pair_margin(mover.footprint, track.footprint)
         ball_m = self._ball_m(track) + space.bow_m
         need_m = (margin.total_m + ball_m) * max(1.0, margin.downwash_ratio) + mover.turns_m
         ends = ecef(*mover.here), ecef(*to)
@@ -593,16 +708,21 @@ class SeparationMonitor:
         if self.mode == "off" or actor is None or vehicle.ids.beside:
             return None
         now = self._loop.time()
-        here, position = fresh_position(vehicle, now), vehicle.telemetry("position")
-        if here is None or position is None:
+        here, (position, at) = fresh_position(vehicle, now), vehicle.timed_telemetry("position")
+        if here is None or position is None or at is None:
             return None
         circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
-        east, north, up = position["vel_enu_mps"]
-        velocity = (east, north, up) if is_flying(vehicle, now) else REST
+        velocity = self.soon_mps(vehicle, at, position["vel_enu_mps"]) if is_flying(vehicle, now) else REST
         mover = Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
         before = self._destination(vehicle.key)
         way = REST if before is None else mover_frame(mover).from_geodetic(*before)
         return replace(mover, stops_in_m=math.hypot(*way)) if arrives(velocity, way, brake_mps2) else mover
+
+    def soon_mps(self, vehicle: Vehicle, at: float, velocity_mps: Sequence[float]) -> Vector:
+        """The velocity of a vehicle, reported at that time, when an order makes it turn."""
+        east, north, up = velocity_mps
+        track = self.monitor.tracks.tracks.get(vehicle.key)
+        return soon_mps(() if track is None else track.history, Sample(at, (east, north, up)))
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
@@ -679,8 +799,8 @@ def _doing(track: Track, doing: str) -> str:
 
 
 def _along(track: Track, frame: EnuFrame) -> Vector:
-    """Its velocity in this frame."""
-    return world_from_enu(track.reported_mps, frame.origin)
+    """Its velocity in this frame, when an order makes it turn."""
+    return world_from_enu(track.soon_mps, frame.origin)
 
 
 def _turning(one: Track | Mover, here: Vector, velocity: Vector, to: Vector) -> tuple[Leg, ...]:

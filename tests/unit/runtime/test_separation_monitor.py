@@ -137,10 +137,10 @@ async def test_vehicles_that_are_forgotten_while_they_are_looked_at_leave_nothin
     sky.fleet.close()
 
 
-async def mission_meets(sky: Sky, vehicle: WatchedVehicle, east_m: float) -> bool:
-    """True if its mission to a place 50 m above the ground is refused."""
+async def mission_meets(sky: Sky, vehicle: WatchedVehicle, east_m: float, up_m: float = 50.0) -> bool:
+    """True if its mission to a place so high above the ground is refused."""
     lat_deg, lon_deg, _ = vehicle.geodetic_of(east_m, 0.0, 0.0)
-    alt_amsl_m = vehicle.geodetic_of(0.0, 0.0, 50.0)[2]
+    alt_amsl_m = vehicle.geodetic_of(0.0, 0.0, up_m)[2]
     there = MissionItem.from_params(16, 0, (0.0, 0.0, 0.0, 0.0, lat_deg, lon_deg, alt_amsl_m), True)
     actor = sky.fleet.find(f"v{vehicle.vehicle.sysid}")
     return actor in await sky.monitor.mission_refusals({actor: MissionRun([there])})
@@ -157,6 +157,20 @@ async def seen(sky: Sky, *, mode: int, vel_enu_mps: tuple[float, float, float]) 
         copter.position(now, (-400.0, 0.0, 50.0))
         await sky.monitor.evaluate()
         await asyncio.sleep(0.5)
+
+
+async def test_a_mission_does_not_lead_low_over_one_that_is_parked() -> None:
+    """It was compared where it lands only (random flight 1238): at 3 m it flew over others on their pads."""
+    sky = Sky(2)
+    flies, parked = sky.vehicles
+    for up_m, refused in ((4.5, True), (5.5, False)):
+        now = sky.loop.time()
+        for vehicle, east_m in ((flies, 0.0), (parked, 50.0)):
+            vehicle.heartbeat(now, armed=vehicle is flies)
+            vehicle.position(now, (east_m, 0.0, up_m if vehicle is flies else 0.0))
+        await sky.monitor.evaluate()
+        assert await mission_meets(sky, flies, 100.0, up_m) is refused, up_m
+    sky.fleet.close()
 
 
 async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unknown_place() -> None:

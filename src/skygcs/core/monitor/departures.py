@@ -14,14 +14,15 @@ have changed places would descend through each other, whatever their heights.
     return, or where it is, and was not ordered to return          that one; else it is stuck
     not clear, and somebody else's way leads through its place     climbs where it stands above that way
 
-Nobody climbs above the ceiling of its own fence, where the autopilot would act. What stands below one that waits,
-nearer than they need, does not keep it there: it climbs away from that. It is asked again a few times a second with the
-vehicles where they are then, so one leaves as soon as the part of another's way that is still to come is clear of its
-own.
+Nobody climbs above the ceiling of its own fence, where the autopilot would act, nor above `ASIDE_M`. What stands below
+one that waits, nearer than they need, does not keep it there: it climbs away from that. It is asked again a few times a
+second with the vehicles where they are then, so one leaves as soon as the part of another's way that is still to come
+is clear of its own.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,8 +31,18 @@ from typing import NamedTuple
 from skygcs.core.mavlink.vehicle_class import HeightParam
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME
-from skygcs.core.monitor.tracks import is_flying, why_unplaced
-from skygcs.core.monitor.ways import Leg, Way, beginning, column, leads_on, needed_m, standing, too_near
+from skygcs.core.monitor.tracks import USUAL_BRAKE_MPS2, is_flying, leads, overshoot_m, why_unplaced
+from skygcs.core.monitor.ways import (
+    Leg,
+    Way,
+    beginning,
+    column,
+    leads_on,
+    needed_m,
+    standing,
+    too_near,
+    turning_lines,
+)
 from skygcs.core.separation import Footprint, pair_margin
 from skygcs.core.vehicle.vehicle import Vehicle
 
@@ -42,9 +53,6 @@ SINKS_MPS = 0.2
 
 ABOVE_M = 1.0
 """A vehicle that climbs out of another's way goes so much higher than it needs to: it holds its height within that."""
-
-BRAKES_MPS2 = 2.0
-"""Least deceleration of an ordered hold or return: PX4's MPC_ACC_HOR and ArduCopter's WPNAV_ACCEL are more."""
 
 AT_A_TURN = 32
 """Ways that are made or compared before others have their turn: a millisecond, of a control period of 20."""
@@ -60,13 +68,14 @@ MOVED_M = 1.0
 """Farther than one that hovers wanders by noise and gusts."""
 
 ASIDE_M = 120.0
-"""Nobody climbs higher above its home only to let others by: what may be flown without a permit. It waits there."""
+"""Nobody climbs higher above its home only to let others by, or to get by: what may be flown without a permit. It waits
+where it is, for its turn, and is given up as what is stuck is."""
 
 SILENT_S = 1.0
 """The space of one whose position is older grows no more: it hovers, or flies its way home."""
 
 STANDS_MPS = 1.0
-"""Faster than by wind and GPS noise: it still brakes, its space shrinks, and whether it gets by is judged then."""
+"""Faster than by wind and GPS noise: it still brakes, and whether it gets by is judged where it stands then."""
 
 
 class ReturnHeight(NamedTuple):
@@ -152,37 +161,51 @@ class Returning:
         """How far it may be from its place, or from its way."""
         return self.footprint.ball_m(min(self.age_s, SILENT_S))
 
-    @property
-    def ball_m(self) -> float:
-        speed_mps = math.hypot(*self.velocity_mps[:2])
-        return self.near_m + speed_mps * speed_mps / (2.0 * BRAKES_MPS2)
-
     def as_seen(self) -> Returning:
-        """Itself without what is not known of its way: how it brakes, where it is since its last position, and, if that
-        was not read, how high it climbs."""
-        height = ReturnHeight(0.0, 0.0) if self.height is UNKNOWN else self.height
-        return replace(self, velocity_mps=(0.0, 0.0, self.velocity_mps[2]), age_s=0.0, height=height)
+        """Itself without what is not known of its way: where it is since its last position, and, if that was not read,
+        how high it climbs."""
+        return replace(self, age_s=0.0, height=ReturnHeight(0.0, 0.0) if self.height is UNKNOWN else self.height)
+
+    def _brakes_m(self, velocity_mps: Vector) -> Vector:
+        """How far from here it comes to rest, if it is ordered to hold or to return while it flies so."""
+        speed_mps = math.hypot(*velocity_mps)
+        on_s = overshoot_m(velocity_mps, USUAL_BRAKE_MPS2) / speed_mps if speed_mps > 0.0 else 0.0
+        return velocity_mps[0] * on_s, velocity_mps[1] * on_s, velocity_mps[2] * on_s
 
     def place(self) -> Way:
-        """Its space while it waits, or climbs where it stands."""
-        climbs = self.goal_m is not None and self.goal_m > self.here[2]
-        legs = (column(self.here, self.goal_m),) if climbs and self.goal_m is not None else standing(self.here)
-        return Way(self.key, self.name, self.footprint, legs, self.ball_m, "waits")
+        """Its space while it waits, or climbs where it stands; one that moves brakes first."""
+        return self.up_to(self.here[2] + self._brakes_m(self.velocity_mps)[2] if self.goal_m is None else self.goal_m)
+
+    def up_to(self, goal_m: float) -> Way:
+        """The same if it climbs to this height."""
+        (x, y, z), (u, v, w) = self.here, self._brakes_m(self.velocity_mps)
+        leg = Leg((x, y), (x + u, y + v), min(z, z + w), max(z, goal_m))
+        return Way(self.key, self.name, self.footprint, (leg,), self.near_m, "waits")
 
     def way(self, *, under_way: bool = False) -> Way:
-        """Its space from here to the ground at its home, or where it lands."""
-        home_xy, here_xy = self.home[:2], self.here[:2]
-        at_home = math.dist(home_xy, here_xy) <= AT_HOME_M
+        """Its space from here to the ground at its home, or where it lands. What does not fly there yet brakes first,
+        and turns."""
+        (x, y, z), home_xy, level = self.here, self.home[:2], (*self.velocity_mps[:2], 0.0)
+        to_home = (home_xy[0] - x, home_xy[1] - y, 0.0)
+        u, v, w = self._brakes_m(level if under_way else self.velocity_mps)
         if under_way and self.lands:
-            legs: tuple[Leg, ...] = (column(self.here, self.home[2]),)
-        elif under_way and at_home and self.velocity_mps[2] < -SINKS_MPS:
-            legs = (column((*home_xy, self.here[2]), self.home[2]),)
+            legs: tuple[Leg, ...] = (Leg((x, y), (x + u, y + v), self.home[2], z),)
+        elif under_way and math.hypot(*to_home) <= AT_HOME_M and self.velocity_mps[2] < -SINKS_MPS:
+            legs = (column((*home_xy, z), self.home[2]),)
         else:
-            low_m = max(self.here[2], self.home[2] + self.height.least_m)
-            level = Leg(here_xy, home_xy, low_m, self.highest_m)
-            legs = (column(self.here, self.highest_m), level, column(self.home, self.highest_m))
-        ball_m = self.near_m if under_way else self.ball_m
-        return Way(self.key, self.name, self.footprint, legs, ball_m, "returns" if under_way else "waits")
+            turns = () if under_way and leads(level, to_home) else self._turns(level)
+            low_m, top_m = min(z, z + w), max(self.highest_m, z + w)
+            level_m = max(low_m, self.home[2] + self.height.least_m)
+            up = Leg((x, y), (x + u, y + v) if turns else (x, y), low_m, top_m)
+            lines = ((self.here, self.home), *turns)
+            legs = (up, *(Leg(a[:2], b[:2], level_m, top_m) for a, b in lines), column(self.home, top_m))
+        return Way(self.key, self.name, self.footprint, legs, self.near_m, "returns" if under_way else "waits")
+
+    def _turns(self, level: Vector) -> tuple[tuple[Vector, Vector], ...]:
+        """The lines over the ground between where it brakes and its way home; none if it stands."""
+        on_m = overshoot_m(level, USUAL_BRAKE_MPS2)
+        lines = turning_lines((*self.here[:2], 0.0), level, on_m, (*self.home[:2], 0.0))
+        return tuple(pair for line in lines for pair in itertools.pairwise(line[1:]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +219,7 @@ class Departures:
     waits_for: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     stuck: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     fenced: frozenset[int] = frozenset()
-    """Those that would have to climb above their ceilings."""
+    """Those that would have to climb above their ceilings, or `ASIDE_M`."""
 
 
 class Progress:
@@ -301,9 +324,9 @@ def _climbs(
         found: dict[int, float] = {}
         for other in blocked[one.key][1]:
             yield
-            up = replace(other.place(), legs=(column(other.here, goals[other.key]),))
+            up = other.up_to(goals[other.key])
             rest = [*taken, *(third.place() for third in ordered if third.key != other.key)]
-            if goals[other.key] + other.height.climb_m > other.ceiling_m:
+            if _is_too_high(other, goals[other.key]):
                 fenced.add(other.key)
             elif goals[other.key] > other.here[2] + ABOVE_M / 2 and not any(too_near(up, way) for way in rest):
                 found[other.key] = goals[other.key]
@@ -327,13 +350,12 @@ def _out_of_ways(
         yield
         through = [way for way in taken if way.key not in stays and too_near(one.place(), way) and leads_on(way)]
         goals = [_height_above(one, _over(one, way)) if way.is_known else math.inf for way in through]
-        if not goals or max(goals) > one.home[2] + ASIDE_M:
+        if not goals or math.isinf(goal_m := max(goals)):
             continue
-        goal_m = max(goals)
-        if goal_m + one.height.climb_m > one.ceiling_m:
+        if _is_too_high(one, goal_m):
             fenced.add(one.key)
             continue
-        up = replace(one, goal_m=goal_m).place()
+        up = one.up_to(goal_m)
         rest = [beginning(way) if way in through else way for way in taken]
         rest += [other.place() for other in ordered if other.key != one.key]
         if not any(too_near(up, way) for way in rest):
@@ -341,9 +363,14 @@ def _out_of_ways(
     return {}
 
 
+def _is_too_high(one: Returning, goal_m: float) -> bool:
+    """True if it is not sent up to there: its own fence acts at its return, or it is above `ASIDE_M`."""
+    return goal_m + one.height.climb_m > one.ceiling_m or goal_m > one.home[2] + ASIDE_M
+
+
 def _over(one: Returning, way: Way) -> Way:
     """The legs of a way that comes too near one where it stands, or that would if it climbed there."""
-    up = replace(one.place(), legs=(column(one.here, math.inf),))
+    up = one.up_to(math.inf)
     return replace(way, legs=tuple(leg for leg in way.legs if too_near(up, replace(way, legs=(leg,)))))
 
 
@@ -370,13 +397,12 @@ def _over_those_that_stay(
         yield
         goal_m = max(one.here[2], *(_height_above(one, way) for way in staying))
         raised = replace(one, here=(*one.here[:2], goal_m))
-        low = goal_m + one.height.climb_m > one.ceiling_m
-        if low:
+        if too_high := _is_too_high(one, goal_m):
             fenced.add(one.key)
-        if low or any(too_near(raised.way(), way) for way in staying):
+        if too_high or any(too_near(raised.way(), way) for way in staying):
             stuck[one.key] = tuple(way.name for way in staying)
             continue
-        up = replace(one, goal_m=goal_m).place()
+        up = one.up_to(goal_m)
         rest = [*taken, *(other.place() for other in ordered if other.key != one.key)]
         if not climb and not any(too_near(up, way) for way in rest):
             climb[one.key] = goal_m

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, ecef
@@ -26,13 +27,16 @@ from skygcs.core.mission.plan import FLOWN_PLACE, RADIUS_PARAM, TAKEOFFS
 from skygcs.core.monitor.approach import Vector
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
 from skygcs.core.monitor.tracks import Place
-from skygcs.core.monitor.ways import Leg, Point, Way, along, are_apart, column
+from skygcs.core.monitor.ways import Leg, Point, Way, along, are_apart, column, joined
 from skygcs.core.separation import Footprint
 
 JUMPS = frozenset({mav_cmd.DO_JUMP, mav_cmd.DO_JUMP_TAG})
 
 LANDINGS = frozenset({mav_cmd.NAV_LAND, mav_cmd.NAV_VTOL_LAND})
 
+
+PASSES = "; all that is left of its mission counts: order this when {name} is past, or pause it (mission pause {name})"
+"""To a person, of a mission that is in the way."""
 
 ON_GROUND_M = 1.0
 """A leg that is so near the lowest of its way ends on the ground: heights of landings are those of home."""
@@ -56,26 +60,53 @@ class MissionRun(NamedTuple):
         return any(item.command == mav_cmd.NAV_RETURN_TO_LAUNCH for item in self.items)
 
 
-def mission_way(
-    key: int,
-    name: str,
-    footprint: Footprint,
-    run: MissionRun,
-    here: Place,
-    home: Place,
-    frame: EnuFrame,
-    circle_m: float = 0.0,
-) -> Way:
-    """The way of a vehicle from where it is along a mission. Places are geodetic; the way is in ``frame``.
-    ``circle_m``: radius of the circle of what cannot stop, which rounds each corner and ends with it; 0: it stops."""
-    legs, widest_m = _legs(run, here, home, frame)
-    return Way(key, name, footprint, tuple(legs), max(widest_m, circle_m), "on its mission")
+class MissionOf(NamedTuple):
+    """Parts of which the way of a mission is made. Places are geodetic; the way is in ``frame``."""
+
+    key: int
+    name: str
+    footprint: Footprint
+    run: MissionRun
+    home: Place
+    frame: EnuFrame
+    circle_m: float = 0.0
+    """Radius of the circle of what cannot stop, which rounds each corner and ends with it; 0: it stops."""
 
 
-def _legs(run: MissionRun, here: Place, home: Place, frame: EnuFrame) -> tuple[list[Leg], float]:
+class MissionSpace:
+    """The way of a mission from where its vehicle is. What lies behind the next place is made once."""
+
+    def __init__(self, of: MissionOf) -> None:
+        self.of = of
+        items, first = of.run.items, of.run.first
+        item = items[first - 1] if 0 < first <= len(items) else None
+        lands = item is not None and (item.command in LANDINGS or item.position is None)
+        self._next = None if item is None or lands or item.command not in FLOWN_PLACE else item
+        self._base = of.frame.from_geodetic(*of.home)
+        self._rest: Way | None = None
+        if self._next is not None:  # whose place does not depend on where the vehicle is
+            end = _fly([], self._next, self._base, self._base, of.home, of.frame)
+            self._rest = self._way(end, of.run._replace(first=first + 1), _radius_m(self._next))
+
+    def _way(self, begin: Vector, run: MissionRun, least_m: float = 0.0) -> Way:
+        legs, widest_m = _legs(run, begin, self._base, self.of.home, self.of.frame)
+        ball_m = max(least_m, widest_m, self.of.circle_m)
+        name, doing = self.of.name, "on its mission"
+        return Way(self.of.key, name, self.of.footprint, tuple(legs), ball_m, doing, PASSES.format(name=name))
+
+    def way(self, here: Place) -> Way:
+        """Its way from here on; the second leg leads to the next place."""
+        begin = self.of.frame.from_geodetic(*here)
+        if self._next is None or self._rest is None:
+            return self._way(begin, self.of.run)
+        legs = list(along([begin]))
+        _fly(legs, self._next, begin, self._base, self.of.home, self.of.frame)
+        return joined(replace(self._rest, legs=tuple(legs)), self._rest)
+
+
+def _legs(run: MissionRun, begin: Vector, base: Vector, home: Place, frame: EnuFrame) -> tuple[list[Leg], float]:
     """The legs along all items to which the run may come, and how wide its circles are."""
     items = run.items
-    begin, base = frame.from_geodetic(*here), frame.from_geodetic(*home)
     legs: list[Leg] = list(along([begin]))
     widest_m = 0.0
     targets = {index: jump_target(items, item) for index, item in enumerate(items) if item.command in JUMPS}

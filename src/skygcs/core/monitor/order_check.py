@@ -48,18 +48,20 @@ from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS, scaled, sc
 from skygcs.core.monitor.tracks import PLAN_STEP_S, TRACK_SILENT_S, USUAL_BRAKE_MPS2, Place, Track, overshoot_m
 from skygcs.core.monitor.ways import (
     LEGS_A_PART,
-    Leg,
     Way,
     along,
     are_apart,
     beginning,
     conflict_text,
     distance_m,
+    nearest_m,
     needed_m,
     shown_m,
     sloped,
     standing,
     too_near,
+    turning,
+    turning_lines,
 )
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import TrajectoryClock
@@ -140,15 +142,19 @@ class _Path(NamedTuple):
     def length_m(self) -> float:
         return sum(piece.duration_s * math.hypot(*piece.velocity_mps) for piece in self.pieces)
 
+    @property
+    def corners(self) -> tuple[Vector, Vector]:
+        """The box that it does not leave."""
+        return _corners([REST, *itertools.accumulate(self.pieces, _after, initial=REST)])
+
 
 def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) -> str | None:
     """With which vehicle the straight way to a place conflicts, in words; None: with none."""
     frame, others = mover_frame(mover), list(others)
     end = frame.from_geodetic(*to)
     way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
-    if way is None and mover.turns_m:
-        turns = _through(turning_points(REST, mover.velocity_mps, mover.turns_m, end), HORIZON_S)
-        way = _before_it_turns(_conflict(mover, frame, turns, others, now))
+    for line in turning_lines(REST, mover.velocity_mps, mover.turns_m, end) if way is None else ():
+        way = way or _before_it_turns(_conflict(mover, frame, _through(line, HORIZON_S), others, now))
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
     )
@@ -193,27 +199,31 @@ def meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, 
     return (place.lat_deg, place.lon_deg, height_m), velocity
 
 
-def space_conflict(mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False) -> str | None:
-    """With which of these ways (in `mover_frame`) the straight way to a place conflicts, in words, whichever of the two
-    is where; None: with none. ``strict``: although it is not nearer there than it is."""
-    end = mover_frame(mover).from_geodetic(*to)
-    straight = Way(mover.key, mover.name, mover.footprint, sloped((REST, end)))
-    here, mine = replace(straight, legs=standing(REST)), straight
+def space_conflict(
+    mover: Mover, to: Place, ways: Iterable[Way], *, strict: bool = False, frame: EnuFrame | None = None
+) -> str | None:
+    """With which of these ways (in ``frame``, `mover_frame` by default) the straight way to a place conflicts, in
+    words, whichever of the two is where; None: with none. ``strict``: although it is not nearer there than it is."""
+    frame = frame or mover_frame(mover)
+    begin, end, velocity = frame.from_geodetic(*mover.here), frame.from_geodetic(*to), mover.velocity_mps
+    straight = Way(mover.key, mover.name, mover.footprint, sloped((begin, end)))
+    here, mine = replace(straight, legs=standing(begin)), straight
     if mover.turns_m:
-        mine = replace(straight, legs=straight.legs + turning(REST, mover.velocity_mps, mover.turns_m, end))
+        mine = replace(straight, legs=straight.legs + turning(begin, velocity, mover.turns_m, end))
     worst: tuple[float, Way] | None = None
     for way in ways:
-        if not too_near(mine, way):
+        near_m = nearest_m(mine, way, needed_m(mine, way) if worst is None else min(worst[0], needed_m(mine, way)))
+        if near_m == math.inf:
             continue
-        near_m = distance_m(mine, way)
         if (
             not strict
             and _comes_no_nearer(here, mine, way)
             and _comes_no_nearer(here, mine, beginning(way), or_clear=True)
         ):
             continue
-        if worst is None or near_m < worst[0]:
-            worst = near_m, way
+        worst = near_m, way
+        if near_m == 0.0:
+            break
     if worst is None:
         return None
     text = conflict_text(mine, worst[1], worst[0])
@@ -226,32 +236,6 @@ def _comes_no_nearer(here: Way, mine: Way, other: Way, *, or_clear: bool = False
     if or_clear and not too_near(mine, other):
         return True
     return other.is_known and too_near(here, other) and distance_m(mine, other) > distance_m(here, other) - NEARER_M
-
-
-def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
-    """The outermost way from here to a place, on which it first flies on by so much (`overshoot_m`) and then turns;
-    only here if it stands.
-
-    It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
-    bows the way out by as much as it flies on (never beyond the place, nor farther ahead than it flies on or the place
-    is): the third of the points.
-    """
-    if on_m == 0.0:
-        return (here,)
-    speed_mps = math.hypot(*velocity_mps)
-    stops = _moved(here, velocity_mps, on_m / speed_mps)
-    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
-    away_m = math.hypot(*way)
-    share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
-    ahead_m = sum(p * v for p, v in zip(way, velocity_mps, strict=True)) / speed_mps
-    too_far_m = max(0.0, on_m + share * ahead_m - max(on_m, ahead_m))
-    return here, stops, _moved(_moved(stops, way, share), velocity_mps, -too_far_m / speed_mps), to
-
-
-def turning(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Leg, ...]:
-    """`turning_points` as space, to be added to a straight way; nothing if it stands."""
-    points = turning_points(here, velocity_mps, on_m, to)
-    return sloped(points) if len(points) > 1 else ()
 
 
 def _before_it_turns(conflict: str | None) -> str | None:
@@ -280,6 +264,10 @@ def _holders(mover: Mover, frame: EnuFrame, others: Iterable[Other]) -> Iterator
             yield Holder(other.track.name, other.track.footprint, holding_disc(other, frame))
 
 
+def _after(place: Vector, piece: Piece) -> Vector:
+    return _moved(place, piece.velocity_mps, piece.duration_s)
+
+
 def _straight(to: Vector, speed_mps: float, ahead_s: float) -> _Path:
     duration_s = math.hypot(*to) / speed_mps
     if duration_s == 0.0:
@@ -295,7 +283,7 @@ def _through(points: Sequence[Vector], ahead_s: float) -> _Path:
 
 
 def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other], now: float) -> str | None:
-    length_m = path.length_m
+    length_m, corners = path.length_m, path.corners
     here_m = ecef(*mover.here)
     worst: tuple[float, str] | None = None
     for other in others:
@@ -313,6 +301,9 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         if away_m > length_m + theirs_m + radius_m * ratio:
             continue
         offset, pieces, horizon_s = _their_path(frame, other, age_s, path)
+        ends = offset, _moved(offset, pieces[0].velocity_mps, horizon_s) if pieces else offset
+        if are_apart(ends, corners, (radius_m, radius_m, radius_m * ratio)):
+            continue
         near = closest_on_paths(
             scaled(offset, ratio), scaled_pieces(path.pieces, ratio), scaled_pieces(pieces, ratio), radius_m, horizon_s
         )

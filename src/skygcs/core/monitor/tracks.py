@@ -58,6 +58,12 @@ REACTS_S = 0.5
 """A vehicle flies on for so long before it brakes as its `brake_mps2` is: the age of its position, the order's way to
 it, and PX4's jerk (MPC_JERK_AUTO, 4 m/s³, takes 0.5 s to 2 m/s²)."""
 
+SPEEDS_UP_MPS2 = 5.0
+"""Speeding up counts to this: PX4's MPC_ACC_HOR_MAX is 5 m/s², ArduCopter's WPNAV_ACCEL 2.5; more is a wrong report."""
+
+LEAST_CHANGE_S = 0.2
+"""Between two velocities that show an acceleration: noise of 0.1 m/s is then 0.5 m/s²."""
+
 HARDEST = 1.5
 """A vehicle brakes before its place by at most so many times `brake_mps2`: ArduCopter by 2.5, PX4 by 3 m/s²."""
 
@@ -89,6 +95,8 @@ class Track:
     """When its newest position came."""
     reported_mps: Vector = REST
     """True east, north, up."""
+    soon_mps: Vector = REST
+    """Its velocity when an order that is given now makes it turn (`soon_mps`)."""
     parked: bool = True
     lost: bool = False
     """It flew, and no position has come for `TRACK_SILENT_S`."""
@@ -127,7 +135,7 @@ class Track:
     @property
     def turns_m(self) -> float:
         """How far it may come off a new way before it turns to that; 0 for what cannot stop: its circle counts."""
-        return 0.0 if self.parked or self.circle_m else overshoot_m(self.reported_mps, self.brake_mps2)
+        return 0.0 if self.parked or self.circle_m else overshoot_m(self.soon_mps, self.brake_mps2)
 
     def turn_radps(self) -> float:
         """How fast it turns over the ground, positive to the left; 0 for what can stop, and goes where it is sent."""
@@ -280,6 +288,24 @@ def overshoot_m(velocity_mps: Vector, brake_mps2: float) -> float:
     return 0.0 if speed_mps < LEAST_SPEED_MPS else speed_mps * (REACTS_S + speed_mps / (2.0 * brake_mps2))
 
 
+def soon_mps(samples: Sequence[Sample], newest: Sample) -> Vector:
+    """The velocity of a vehicle `REACTS_S` after its newest report, if it goes on to speed up, or to turn, as its
+    earlier ones show; what brakes is not counted on to go on with that."""
+    velocity = newest.vel_enu_mps
+    older = next((sample for sample in reversed(samples) if sample.at <= newest.at - LEAST_CHANGE_S), None)
+    if older is None or newest.at - older.at > HISTORY_S:
+        return velocity
+    between_s = newest.at - older.at
+    change = [(v - u) / between_s for u, v in zip(older.vel_enu_mps, velocity, strict=True)]
+    along, square = sum(a * v for a, v in zip(change, velocity, strict=True)), sum(v * v for v in velocity)
+    if along < 0.0:
+        change = [a - v * along / square for a, v in zip(change, velocity, strict=True)]
+    size_mps2 = math.hypot(*change)
+    share = REACTS_S * (min(1.0, SPEEDS_UP_MPS2 / size_mps2) if size_mps2 > 0.0 else 0.0)
+    east, north, up = (v + a * share for v, a in zip(velocity, change, strict=True))
+    return east, north, up
+
+
 def follows(track: Track, points: Sequence[Vector]) -> bool:
     """True if it is seen to be on its trajectory, of which these are the points from now on."""
     return len(points) > 1 and not track.parked and math.dist(track.place_m, points[0]) <= OFF_PLAN_M + track.ball_m
@@ -322,7 +348,9 @@ def _read(track: Track, now: float) -> str | None:
         lat_deg, lon_deg, alt_m = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
         track.at, track.reported_mps = at, (east, north, up)
         track.lat_deg, track.lon_deg, track.ecef_m = lat_deg, lon_deg, ecef(lat_deg, lon_deg, alt_m)
-        track.history.append(Sample(at, track.reported_mps))
+        newest = Sample(at, track.reported_mps)
+        track.soon_mps = soon_mps(track.history, newest)
+        track.history.append(newest)
         while len(track.history) > 2 and track.history[0].at < at - HISTORY_S:
             track.history.popleft()
     if track.at == -math.inf:

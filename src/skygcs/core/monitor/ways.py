@@ -24,6 +24,9 @@ Point = tuple[float, float]
 STEP_M, MOST_STEPS = 2.0, 16
 """A sloped way is made of legs that climb by so much each; a long one of so many, to bound the work."""
 
+FAN_M = 2.0
+"""Less than the least of two margins (2.5 m with the defaults): nothing stands unseen between the lines of a turn."""
+
 LEGS_A_PART = 8
 """Legs of which one box is looked at first: all pairs of two parts take a fraction of a millisecond."""
 
@@ -48,6 +51,8 @@ class Way:
     ball_m: float = 0.0
     """How far it may be from its way, because its last position is old, or because it brakes first."""
     doing: str = "in the air"
+    hint: str = ""
+    """Added to what is said of a conflict with it: what would help."""
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
@@ -70,8 +75,21 @@ class Way:
     @cached_property
     def parts(self) -> tuple[Way, ...]:
         """The way in pieces of `LEGS_A_PART` legs."""
+        if len(self.legs) <= LEGS_A_PART:
+            return (self,)
         starts = range(0, len(self.legs), LEGS_A_PART)
         return tuple(replace(self, legs=self.legs[at : at + LEGS_A_PART]) for at in starts)
+
+
+def joined(first: Way, rest: Way) -> Way:
+    """``first``, and then ``rest``, of which the parts are kept: a long one is measured once."""
+    way = replace(first, legs=(*first.legs, *rest.legs))
+    (a, b, c, d), (e, f, g, h) = first.box, rest.box
+    low_m, high_m = min(first.heights[0], rest.heights[0]), max(first.heights[1], rest.heights[1])
+    kept = {"parts": (*first.parts, *rest.parts), "box": (min(a, e), max(b, f), min(c, g), max(d, h))}
+    known = first.is_known and all(part.is_known for part in rest.parts)
+    way.__dict__.update(kept, heights=(low_m, high_m), is_known=known)  # as cached_property would
+    return way
 
 
 def standing(place: Vector) -> tuple[Leg, ...]:
@@ -107,6 +125,43 @@ def sloped(points: Sequence[Vector]) -> tuple[Leg, ...]:
             between.append((x, y, z))
         between.append(b)
     return along(between)
+
+
+def turning_points(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Vector, ...]:
+    """The outermost way from here to a place, on which it first flies on by so much (`overshoot_m`) and then turns;
+    only here if it stands.
+
+    It flies between that way and the straight one. Both firmwares accelerate to the new place while they brake, which
+    bows the way out by as much as it flies on (never beyond the place, nor farther ahead than it flies on or the place
+    is): the third of the points.
+    """
+    if on_m == 0.0:
+        return (here,)
+    speed_mps = math.hypot(*velocity_mps)
+    stops = _on(here, velocity_mps, on_m / speed_mps)
+    way = to[0] - here[0], to[1] - here[1], to[2] - here[2]
+    away_m = math.hypot(*way)
+    share = min(1.0, on_m / away_m) if away_m > 0.0 else 0.0
+    ahead_m = sum(p * v for p, v in zip(way, velocity_mps, strict=True)) / speed_mps
+    too_far_m = max(0.0, on_m + share * ahead_m - max(on_m, ahead_m))
+    return here, stops, _on(_on(stops, way, share), velocity_mps, -too_far_m / speed_mps), to
+
+
+def turning_lines(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[tuple[Vector, ...], ...]:
+    """`turning_points`, and such ways on which it flies on by less: no place between those and the straight way is
+    farther than `FAN_M` from all. None if it stands."""
+    fans = math.ceil(on_m / (2.0 * FAN_M))
+    return tuple(turning_points(here, velocity_mps, on_m * n / fans, to) for n in range(fans, 0, -1))
+
+
+def turning(here: Vector, velocity_mps: Vector, on_m: float, to: Vector) -> tuple[Leg, ...]:
+    """The space in which a vehicle turns to a place, to be added to a straight way; nothing if it stands."""
+    lines = turning_lines(here, velocity_mps, on_m, to)
+    return tuple(leg for n, line in enumerate(lines) for leg in sloped(line[n > 0 :]))
+
+
+def _on(place: Vector, along: Vector, times: float) -> Vector:
+    return place[0] + along[0] * times, place[1] + along[1] * times, place[2] + along[2] * times
 
 
 def are_apart(a: tuple[Vector, Vector], b: tuple[Vector, Vector], need: Vector) -> bool:
@@ -148,19 +203,43 @@ def distance_m(a: Way, b: Way) -> float:
 
 def too_near(a: Way, b: Way) -> bool:
     """True if two vehicles on these ways could come nearer than they need."""
-    need_m = needed_m(a, b)
-    return _boxes_meet(a, b, need_m) and not distance_m(a, b) >= need_m
+    return nearest_m(a, b, needed_m(a, b)) < math.inf
+
+
+def nearest_m(a: Way, b: Way, below_m: float) -> float:
+    """`distance_m` if it is below this, else infinity: only the legs of parts whose boxes are so near are compared."""
+    if not (a.is_known and b.is_known):
+        return 0.0
+    ratio, least_m = pair_margin(a.footprint, b.footprint).downwash_ratio, below_m
+    if not _are_near(a, b, least_m, ratio):
+        return math.inf
+    for q in b.parts:
+        if not _are_near(a, q, least_m, ratio):
+            continue
+        for p in a.parts:
+            if not _are_near(p, q, least_m, ratio):
+                continue
+            for leg, other in itertools.product(p.legs, q.legs):
+                if _apart_by_axis_m(leg, other) < least_m:
+                    least_m = min(least_m, _legs_distance_m(leg, other, ratio))
+            if least_m == 0.0:
+                return 0.0
+    return least_m if least_m < below_m else math.inf
 
 
 def _boxes_meet(a: Way, b: Way, need_m: float) -> bool:
     """False if they are farther apart than that over the ground, or in height: most pairs of a fleet."""
-    if not (a.is_known and b.is_known):
-        return True
+    known = a.is_known and b.is_known
+    return not known or _are_near(a, b, need_m, pair_margin(a.footprint, b.footprint).downwash_ratio)
+
+
+def _are_near(a: Way, b: Way, need_m: float, ratio: float) -> bool:
+    """The same of two that are known."""
     p, q = a.box, b.box
     if p[0] - need_m > q[1] or q[0] - need_m > p[1] or p[2] - need_m > q[3] or q[2] - need_m > p[3]:
         return False
-    gap_m = max(a.heights[0] - b.heights[1], b.heights[0] - a.heights[1])
-    return gap_m < need_m * pair_margin(a.footprint, b.footprint).downwash_ratio
+    (low_m, high_m), (other_low_m, other_high_m) = a.heights, b.heights
+    return low_m - other_high_m < need_m * ratio and other_low_m - high_m < need_m * ratio
 
 
 def find_way_conflicts(starting: Sequence[Way], others: Sequence[Way], found: dict[int, str]) -> Iterator[None]:
@@ -205,7 +284,7 @@ def conflict_text(way: Way, other: Way, near_m: float) -> str:
     near, needed = shown_m(near_m, needed_m(way, other))
     return (
         f"{way.name} would come {near} m near {other.name} ({other.doing}); they need {needed} m, "
-        f"heights divided by {ratio:g}"
+        f"heights divided by {ratio:g}{other.hint}"
     )
 
 

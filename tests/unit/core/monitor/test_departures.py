@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from skygcs.core.monitor.departures import (
     ABOVE_M,
+    ASIDE_M,
     AT_HOME_M,
-    BRAKES_MPS2,
     MOVED_M,
     OTHERS_S,
     SILENT_S,
@@ -316,6 +316,17 @@ def test_nobody_climbs_out_of_its_own_fence() -> None:
     assert over.stuck == {1: ("v9",)} and over.fenced == {1}
 
 
+def test_nobody_climbs_above_what_may_be_flown_only_to_let_others_by() -> None:
+    """With no fence that is known it climbed as high as others' ways led."""
+    for up_m, climbs in ((ASIDE_M - 2.0 * MARGIN_M - 1.1, True), (ASIDE_M - 2.0 * MARGIN_M - 0.9, False)):
+        high = ReturnHeight(up_m, up_m)
+        pair = departures([at(1, (0, 0, 10), (5, 0), high), at(2, (5, 0, 10), (0, 0), high)], [])
+        assert pair.leave == () and bool(pair.climb) is climbs and (pair.fenced == {1, 2}) is not climbs
+        stays = at(9, (0.0, 0.0, up_m), (0.0, 0.0)).place()
+        over = departures([at(1, (-20, 0, up_m), (20, 0), high)], [], [stays], {9})
+        assert bool(over.climb) is climbs and (over.stuck == {1: ("v9",)}) is not climbs
+
+
 def test_what_is_below_one_keeps_it_from_nothing_but_a_way_down_there() -> None:
     """It stands nearer than they need already, and the return climbs away from it."""
     one, below = at(1, (0.0, 0.0, 4.0), (20.0, 0.0)), replace(at(9, (0, 0, 0), (0, 0)).place(), doing="parked")
@@ -326,12 +337,12 @@ def test_what_is_below_one_keeps_it_from_nothing_but_a_way_down_there() -> None:
 
 
 def test_one_that_still_brakes_is_not_given_up() -> None:
-    """It needed 25 m more at 10 m/s, and was stuck a second after its order; seen as it is nothing is in its way."""
-    stays = at(9, (10.0, 0.0, 10.0), (10.0, 0.0)).place()
-    one = replace(at(1, (0.0, 40.0, 10.0), (0.0, 0.0)), velocity_mps=(0.0, 10.0, 0.0), age_s=3.0, height=UNKNOWN)
-    assert departures([one.as_seen()], [], [stays], {9}).leave == (1,)
-    decided = departures([replace(one, height=RETURN)], [], [stays], {9})
-    assert decided.waits_for == {1: ("v9",)} and decided.stuck == decided.climb == {}
+    """It needed 25 m more on all sides at 10 m/s, and was stuck a second after its order."""
+    one = replace(at(1, (0.0, 40.0, 10.0), (0.0, 0.0)), velocity_mps=(0.0, 10.0, 0.0))
+    for x, y, leaves in ((10.0, 0.0, True), (0.0, 60.0, False)):
+        decided = departures([one], [], [at(9, (x, y, 10.0), (x, y)).place()], {9})
+        assert (decided.leave == (1,)) is leaves and (decided.waits_for == {1: ("v9",)}) is not leaves
+        assert decided.stuck == decided.climb == {}
 
 
 def test_without_any_place_they_leave_one_at_a_time() -> None:
@@ -444,23 +455,41 @@ def test_returns_go_on_while_one_of_them_moves_and_not_for_ever_while_others_do(
 
 
 def test_the_way_home_of_one_that_waits_returns_or_lands() -> None:
-    one = replace(at(1, (30.0, 40.0, 10.0), (0.0, 0.0), ReturnHeight(12.0, 15.0, 7.0)), velocity_mps=(3.0, 4.0, 2.0))
-    brakes_m = 25.0 / (2.0 * BRAKES_MPS2)
+    one = at(1, (30.0, 40.0, 10.0), (0.0, 0.0), ReturnHeight(12.0, 15.0, 7.0))
     assert one.highest_m == 17.0 and replace(one, home=(0.0, 0.0, 5.0)).highest_m == 20.0
-    assert one.ball_m == pytest.approx(brakes_m)
     for age_s in (SILENT_S / 2.0, 60.0):
-        assert replace(one, age_s=age_s).ball_m == pytest.approx(brakes_m + SIZE.ball_m(min(age_s, SILENT_S)))
-    over = Leg((30.0, 40.0), (0.0, 0.0), 12.0, 17.0)
-    assert one.way().legs == (column(one.here, 17.0), over, column(one.home, 17.0))
-    under_way = replace(one, age_s=SILENT_S).way(under_way=True)
-    assert under_way.legs == one.way().legs and under_way.ball_m == SIZE.ball_m(SILENT_S), "it does not brake"
+        assert replace(one, age_s=age_s).way().ball_m == pytest.approx(SIZE.ball_m(min(age_s, SILENT_S)))
+    legs = (column(one.here, 17.0), Leg((30.0, 40.0), (0.0, 0.0), 12.0, 17.0), column(one.home, 17.0))
+    assert one.way().legs == legs
+    home = replace(one, velocity_mps=(-3.0, -4.0, 2.0), age_s=SILENT_S).way(under_way=True)
+    assert home.legs == legs and home.ball_m == SIZE.ball_m(SILENT_S), "it flies there: it does not brake"
     near = replace(one, here=(AT_HOME_M, 0.0, 10.0))
     for sinks_mps, lands in ((SINKS_MPS, False), (SINKS_MPS + 0.01, True), (-1.0, False)):
         way = replace(near, velocity_mps=(0.0, 0.0, -sinks_mps)).way(under_way=True)
         assert (way.legs == (column((0.0, 0.0, 10.0), 0.0),)) is lands
-    seen = replace(one, age_s=2.0, height=UNKNOWN).as_seen()
-    assert seen == replace(one, velocity_mps=(0.0, 0.0, 2.0), height=ReturnHeight(0.0, 0.0))
+    assert replace(one, age_s=2.0, height=UNKNOWN).as_seen() == replace(one, height=ReturnHeight(0.0, 0.0))
     assert one.as_seen().height == one.height, "which was read"
+
+
+@pytest.mark.parametrize(
+    ("place", "waits", "returns"),
+    [
+        ((0.0, 2.4, 10.0), True, True),
+        ((8.75, 2.4, 10.0), True, True),  # it flies on for so long before it stands
+        ((8.75 + 2.6, 0.0, 10.0), False, False),
+        ((6.0, 10.0, 10.0), False, True),  # and turns to its home
+        ((4.0, 4.0, 10.0), False, True),
+        ((-2.6, 10.0, 10.0), False, False),
+    ],
+)
+def test_one_that_moves_brakes_before_it_waits_and_before_it_returns(
+    place: tuple[float, float, float], waits: bool, returns: bool
+) -> None:
+    """It counted where it was."""
+    one = replace(at(1, (0.0, 0.0, 10.0), (0.0, 40.0), ReturnHeight(0.0, 15.0)), velocity_mps=(5.0, 0.0, 0.0))
+    there = Way(9, "v9", SIZE, standing(place))
+    assert too_near(one.place(), there) is waits and too_near(one.way(), there) is returns
+    assert too_near(one.way(under_way=True), there) is returns, "it may just have been ordered"
 
 
 def test_a_decision_gives_way_to_others_after_each_piece_of_work() -> None:

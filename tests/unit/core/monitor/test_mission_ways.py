@@ -11,7 +11,7 @@ from skygcs.core.geo import EnuFrame, Origin, ecef
 from skygcs.core.mavlink.vehicle_class import ReturnEnd
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.departures import UNKNOWN, ReturnHeight, Returning
-from skygcs.core.monitor.mission_ways import MissionRun, landing_distance_m, mission_box, mission_way
+from skygcs.core.monitor.mission_ways import MissionOf, MissionRun, MissionSpace, landing_distance_m, mission_box
 from skygcs.core.monitor.ways import Way, standing, too_near
 from skygcs.core.separation import Footprint, pair_margin
 from support.examples import seeds
@@ -42,7 +42,7 @@ TAG = MissionItem(600, 2, (7.0, 0.0, 0.0, 0.0))
 def way(items: list[MissionItem], first: int = 1, at: Point = (0.0, 0.0), up_m: float = 20.0) -> Way:
     lat_deg, lon_deg, _ = FRAME.to_geodetic(*at, 0.0)
     here = (lat_deg, lon_deg, HOME[2] + up_m)
-    return mission_way(1, "v1", SMALL, MissionRun(items, first), here, HOME, FRAME)
+    return MissionSpace(MissionOf(1, "v1", SMALL, MissionRun(items, first), HOME, FRAME)).way(here)
 
 
 def meets(one: Way, at: Point, up_m: float = 20.0) -> bool:
@@ -94,7 +94,8 @@ HOME_ITEM = MissionItem.from_params(20, 2, (0.0,) * 7, True)
 def returning(height: ReturnHeight, end: ReturnEnd = ReturnEnd.LANDS) -> Way:
     """A mission at 10 m, 100 m to the north, and home."""
     run = MissionRun([item(16, (0.0, 100.0), 10.0), HOME_ITEM], 1, height, end)
-    return mission_way(1, "v1", SMALL, run, (*HOME[:2], HOME[2] + 10.0), HOME, FRAME, 60.0 * (end is ReturnEnd.CIRCLES))
+    of = MissionOf(1, "v1", SMALL, run, HOME, FRAME, 60.0 * (end is ReturnEnd.CIRCLES))
+    return MissionSpace(of).way((*HOME[:2], HOME[2] + 10.0))
 
 
 def test_a_return_climbs_to_its_height_flies_level_and_comes_down() -> None:
@@ -163,7 +164,7 @@ def test_what_a_box_of_a_mission_leaves_out_its_way_keeps_clear_of(seed: int) ->
     need_m = 2.0 * pair_margin(SMALL, SMALL).total_m
     apart = mission_box(items, HOME).is_apart((ends[0], ends[1]), ecef(*FRAME.to_geodetic(*here)), need_m, height)
     run = MissionRun(items, rng.choice([1, 3]), height)
-    whole = mission_way(1, "v1", SMALL, run, FRAME.to_geodetic(*here), HOME, FRAME)
+    whole = MissionSpace(MissionOf(1, "v1", SMALL, run, HOME, FRAME)).way(FRAME.to_geodetic(*here))
     points = [[p + (q - p) * n / 60 for p, q in zip(*line, strict=True)] for n in range(61)]
     near = any(meets(whole, (x, y), up) for x, y, up in points)
     assert not (apart and near)

@@ -32,10 +32,9 @@ from skygcs.core.monitor.order_check import (
     setpoint_conflict,
     space_conflict,
     takeoff_conflict,
-    turning_points,
 )
-from skygcs.core.monitor.tracks import Place, Track
-from skygcs.core.monitor.ways import Way, along, distance_m, sloped, standing
+from skygcs.core.monitor.tracks import Place, Sample, Track, soon_mps
+from skygcs.core.monitor.ways import Way, along, distance_m, sloped, standing, turning_points
 from skygcs.core.separation import Footprint, pair_margin, separation_m
 from skygcs.core.trajectory import Piece, Trajectory, TrajectoryClock
 from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory, TrajectoryFlight, common_clock
@@ -420,10 +419,10 @@ def where(timed: Sequence[tuple[float, Vector]], at_s: float) -> Vector:
     return timed[-1][1]
 
 
-def outermost(velocity: Vector, to: Vector) -> list[Vector]:
-    """Its way by parts along and across its flight: on by what it needs to stop, and then aside."""
+def outermost(velocity: Vector, to: Vector, part: float = 1.0) -> list[Vector]:
+    """Its way by parts along and across its flight: on by this part of what it needs to stop, and then aside."""
     speed_mps = math.hypot(*velocity)
-    on_m = speed_mps * 0.5 + speed_mps * speed_mps / 4.0
+    on_m = part * (speed_mps * 0.5 + speed_mps * speed_mps / 4.0)
     ahead = [v / speed_mps for v in velocity]
     ahead_m = sum(p * u for p, u in zip(to, ahead, strict=True))
     share = min(1.0, on_m / math.hypot(*to)) if any(to) else 0.0
@@ -480,7 +479,9 @@ def test_orders_are_compared_as_they_would_be_flown(
         text = goto_conflict(mover(moves), at(*to), [there], NOW)
         wanted = meets([REST, to], 5.0, 10.0)
         if not wanted and any(moves):
-            wanted, ends = meets(outermost(moves, to), 5.0, 10.0), ", before it has turned there"
+            parts = (1.0,) if math.hypot(*moves) <= 3.0 else (1.0, 0.5)
+            found = [meets(outermost(moves, to, part), 5.0, 10.0) for part in parts]
+            wanted, ends = any(found), ", before it has turned there"
     elif order == "takeoff":
         height_m = 8.0 + to[2]
         text = takeoff_conflict(mover(), height_m, [there], NOW)
@@ -501,6 +502,7 @@ def test_orders_are_compared_as_they_would_be_flown(
         (mover(FAST), (40.0, 0.0, 0.0), (4.0, ON_M + 2.4, 0.0), True),
         (mover(FAST), (40.0, 0.0, 0.0), (4.0, ON_M + 2.6, 0.0), False),
         (mover(FAST), (40.0, 0.0, 0.0), (-2.4, 6.0, 0.0), True),
+        (mover(FAST), (40.0, 0.0, 0.0), (6.0, 4.4, 0.0), True),  # it may turn earlier
         (mover(FAST), (40.0, 0.0, 0.0), (ON_M + 2.3, ON_M, 0.0), True),
         (mover(FAST), (40.0, 0.0, 0.0), (24.4, 4.4, 0.0), True),  # between the corner and the place
         (mover(FAST), (4.0, 0.0, 0.0), (ON_M, ON_M, 0.0), False),  # never beyond the place
@@ -542,6 +544,26 @@ def test_what_turns_flies_on_and_then_aside_wherever_it_is(
     assert [p - h for point in points for p, h in zip(point, here, strict=True)] == pytest.approx(
         [*itertools.chain(*wanted)], abs=1e-6
     )
+
+
+@each(
+    ("samples", "soon"),
+    [
+        ([(0.0, (0.0, 0.5, 0.0)), (0.4, (0.0, 1.5, 0.0))], (0.0, 2.75, 0.0)),  # it speeds up by 2.5 m/s²
+        ([(0.0, (0.0, 0.0, 0.0)), (0.25, (0.0, 0.4, 0.0))], (0.0, 1.2, 0.0)),
+        ([(0.0, (0.0, 0.0, 0.0)), (0.2, (0.0, 4.0, 0.0))], (0.0, 6.5, 0.0)),  # no vehicle does so
+        ([(0.0, (0.0, 4.0, 0.0)), (0.4, (0.0, 3.0, 0.0))], (0.0, 3.0, 0.0)),  # it may speed up again
+        ([(0.0, (-1.0, 4.0, 0.0)), (0.4, (0.0, 3.0, 0.0))], (1.25, 3.0, 0.0)),  # but it turns
+        ([(0.0, (0.0, 1.0, 0.0)), (0.1, (0.0, 2.0, 0.0))], (0.0, 2.0, 0.0)),  # too soon after the other
+        ([(0.0, (0.0, 1.0, 0.0)), (0.4, (0.0, 2.0, 0.0)), (0.5, (0.0, 2.0, 0.0))], (0.0, 3.0, 0.0)),
+        ([(0.0, (0.0, 1.0, 0.0)), (2.1, (0.0, 2.0, 0.0))], (0.0, 2.0, 0.0)),  # long ago
+        ([(0.0, (0.0, 1.0, 0.0))], (0.0, 1.0, 0.0)),
+    ],
+)
+def test_what_speeds_up_flies_on_farther(samples: list[tuple[float, Vector]], soon: Vector) -> None:
+    """A goto to one that had just begun its mission led it 2 m past what was checked (random flight 102)."""
+    known = [Sample(*sample) for sample in samples]
+    assert soon_mps(known, known[-1]) == pytest.approx(soon)
 
 
 def test_what_is_on_the_straight_way_is_named_as_such_although_it_turns_first() -> None:

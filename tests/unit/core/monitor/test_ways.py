@@ -22,6 +22,8 @@ from skygcs.core.monitor.ways import (
     column,
     distance_m,
     find_way_conflicts,
+    joined,
+    nearest_m,
     needed_m,
     shown_m,
     sloped,
@@ -54,6 +56,22 @@ def wandering(chance: random.Random, key: int) -> Way:
         at = [a + chance.uniform(-12, 12) for a in at]
         points.append((at[0], at[1], at[2]))
     return way(key, points, chance.uniform(0, 5))
+
+
+def test_the_nearest_is_found_without_a_look_at_all_legs() -> None:
+    """Also of a way that was joined out of two."""
+    chance = random.Random(5)
+    for _ in range(400):
+        a, b = wandering(chance, 1), wandering(chance, 2)
+        at, least_m = chance.randint(0, len(a.legs) - 1), distance_m(a, b)
+        two = joined(replace(a, legs=a.legs[: at + 1]), replace(a, legs=a.legs[at:]))
+        assert (two.box, two.heights, two.is_known) == (a.box, a.heights, True)
+        for one, below_m in itertools.product((a, two), (0.001, least_m or 0.002, least_m * 1.01 + 0.01, 500.0)):
+            assert (
+                nearest_m(one, b, below_m) == nearest_m(b, one, below_m) == (least_m if least_m < below_m else math.inf)
+            )
+    nowhere = replace(a, legs=(*a.legs, column((math.nan, 0.0, 0.0), 5.0)))
+    assert nearest_m(nowhere, b, 1.0) == nearest_m(joined(a, nowhere), b, 1.0) == 0.0
 
 
 def test_what_is_found_is_what_a_comparison_of_all_legs_finds() -> None:

@@ -17,7 +17,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mission.fence import FenceCircle, FencePlan
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.mission.plan import FLOWN_OTHERWISE, FLOWN_PLACE, MissionPlan, PlannedHome
-from skygcs.core.monitor.mission_ways import MissionRun, mission_way
+from skygcs.core.monitor.mission_ways import MissionOf, MissionRun, MissionSpace
 from skygcs.core.monitor.ways import Way, too_near
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.formation import (
@@ -132,7 +132,7 @@ def ways_of(plans: tuple[MissionPlan, ...], footprints: list[Footprint]) -> list
         first = plan.mission[0]
         here = (*(first.position or HOME), GROUND_AMSL_M + (first.z or 0.0))
         home = (*HOME, GROUND_AMSL_M)
-        found.append(mission_way(n, f"v{n}", footprint, MissionRun(plan.mission), here, home, FRAME))
+        found.append(MissionSpace(MissionOf(n, f"v{n}", footprint, MissionRun(plan.mission), home, FRAME)).way(here))
     return found
 
 

@@ -67,7 +67,8 @@ def layered(
     space: FlightSpace,
     standing_half_m: float,
 ) -> tuple[PhasedPlan, Layers] | str:
-    """Phases for all vehicles; the reason where the layers below the ceiling do not suffice in any number of rounds."""
+    """Phases for all vehicles; the reason where no place was found for one in the layers below the ceiling. Another
+    assignment may have one: each vehicle takes the first that is free, and none is moved afterwards."""
     s, g, half = np.asarray(starts, dtype=float), np.asarray(goals, dtype=float), np.asarray(half_margins_m)
     spacing = 2.0 * float(half.max()) * downwash_ratio + GAP_M * downwash_ratio
     base = min(float(s[:, 2].min()), float(g[:, 2].min()))
@@ -88,7 +89,9 @@ def layered(
             layers = Layers(found[0], found[1], heights)
             return _phases(names, starts, goals, layers), layers
         stuck = found
-    return f"{names[stuck]} has none left of {layers_text(len(heights))} {spacing:.2f} m apart, in any number of rounds"
+    rounds = min(MAX_ROUNDS, len(names))
+    tried = f"{layers_text(len(heights))} {spacing:.2f} m apart and up to {rounds} round{'s' if rounds > 1 else ''}"
+    return f"{names[stuck]} found no place in {tried}; each vehicle took the first that was free"
 
 
 def layers_text(count: int) -> str:

@@ -73,7 +73,7 @@ def test_who_shares_a_layer_keeps_apart_and_no_more_layers_or_rounds_are_used_th
     found = layered(names, starts, goals, half, RATIO, space, parked_half_m)
     free = [[n for n, is_free in enumerate(layers) if is_free] for layers in clear]
     if isinstance(found, str):
-        assert f"has none left of {layers_text(count)} {spacing:.2f} m apart" in found
+        assert f"in {layers_text(count)} {spacing:.2f} m apart and up to " in found
         assert found.partition(" ")[0] in names
         if len(fleet) == 1:
             assert free == [[]]
