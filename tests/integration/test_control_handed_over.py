@@ -22,6 +22,11 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 WINDY = conditions_of(wind_mps=6.0)
 
+DENIED: dict[str, tuple[str, dict[str, Any]]] = {
+    "mode": ("vehicles.mode", {"mode": "{mission}"}),
+    "mission": ("missions.start", {}),
+}
+
 
 @dataclass
 class StationInTheLoop:
@@ -37,6 +42,28 @@ class StationInTheLoop:
 
     async def hold(self, targets: str) -> Any:
         return (await self.gcs("vehicles.hold", targets=targets))["outcomes"]
+
+
+@pytest.mark.deep
+@KINDS
+@pytest.mark.parametrize("order", DENIED)
+async def test_an_order_that_is_denied_leaves_it_held(tmp_path: Path, kind: dict[str, int], order: str) -> None:
+    """There is no mission. Ended at the order, control left it to the wind: 32.6 m in 10 s."""
+    async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
+        await gcs.fly("attitude")
+        await asyncio.sleep(5)
+        method, given = DENIED[order]
+        mission = "AUTO.MISSION" if gcs.actor().vehicle.family == "px4" else "AUTO"
+        since = gcs.now
+        outcome = await gcs.outcome(method, **{k: v.format(mission=mission) for k, v in given.items()})
+        assert not outcome["ok"], outcome
+        await asyncio.sleep(10)
+        assert gcs.farthest_m(since) < 1.5
+        assert gcs.control()["state"] == "flying" and gcs.last_setpoint() > gcs.now - 0.3
+        (text,) = gcs.texts(since)
+        assert text.startswith("control goes on, it holds its position"), text
+        await gcs.step(2.0, 0.0, 0.0)
+        await gcs.done("vehicles.land")
 
 
 @KINDS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
 from support.flown import Flown, aloft, flown
-from support.planned import UP_M, plan_events, run, state, timed
+from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
 
 pytestmark = pytest.mark.looptime
 
@@ -59,6 +60,43 @@ async def set_param(gcs: Flown, name: str, value: float, **params: Any) -> dict[
     answer = await gcs("params.set", targets="v1", params={name: value}, **params)
     outcome: dict[str, Any] = answer["outcomes"]["v1"][name]
     return outcome
+
+
+async def origins_are_refused(gcs: Flown) -> None:
+    """Turned, shifted by 6 m, and taken from a vehicle; the same one again is applied."""
+    now = (await gcs("origin.get"))["origin"]
+    for change in ({"x_heading_deg": 270.0}, {"lat_deg": now["lat_deg"] + 5.4e-5}):
+        assert "`skygcs-cli " in await refused(gcs, "origin.set", **{**now, **change}, force=True)
+    if gcs.place("v1")[2] > 1.0:  # on the ground it stands at the origin
+        assert "`skygcs-cli " in await refused(gcs, "origin.from_vehicle", target="v1", force=True)
+    assert (await gcs("origin.set", **now))["origin"] == now
+
+
+@pytest.mark.deep
+@KINDS
+async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind, takeoff=False, conditions=WIND) as gcs:
+        starts = {f"v{sim.sysid}": (*gcs.place_of_home(f"v{sim.sysid}")[:2], UP_M) for sim in gcs.sims}
+        goals = {name: (x, y + 12.0, up) for name, (x, y, up) in starts.items()}
+        began = gcs.now
+        await run(gcs, timed(starts, goals))
+        await gcs.until(lambda: state(gcs) == "takeoff", 60.0)
+        await origins_are_refused(gcs)
+        await gcs.until(lambda: state(gcs) == "flying", 120.0)
+        await gcs.until(lambda: gcs.place("v1")[1] > 3.0, 30.0)
+        await origins_are_refused(gcs)
+        await gcs("plan.pause")
+        await asyncio.sleep(5.0)
+        await origins_are_refused(gcs)
+        assert "in place" in (await gcs("plan.resume"))["message"] or state(gcs) == "flying"
+        await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 60.0)
+        assert state(gcs) == "finished", plan_events(gcs)
+        assert all(math.dist(gcs.place(name), goal) < 0.8 for name, goal in goals.items())
+        assert least_distance(gcs, began)[0] > MARGIN_M
+        # with the plan over, the origin is anybody's
+        now = (await gcs("origin.get"))["origin"]
+        await asyncio.sleep(2.0)
+        await gcs("origin.set", **{**now, "x_heading_deg": 270.0})
 
 
 @KINDS

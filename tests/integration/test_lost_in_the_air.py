@@ -14,6 +14,28 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 
 
+@pytest.mark.deep
+@KINDS
+async def test_nobody_is_sent_to_the_place_of_one_that_is_silent(tmp_path: Path, kind: dict[str, int]) -> None:
+    """At 10 s of silence a goto to its place was accepted: true separation 0.00 m."""
+    async with aloft(tmp_path, **kind) as gcs:
+        there = list(gcs.place("v2"))
+        gcs.muted.add(2)
+        muted = gcs.now
+        for silent_s in (2.6, 8.2, 10.5, 60.0):
+            await asyncio.sleep(muted + silent_s - gcs.now)
+            outcome = await gcs.outcome("vehicles.goto", enu_m=there)
+            assert outcome["result"] == "refused" and "v2" in outcome["message"], (silent_s, outcome)
+        assert "lost in the air" in outcome["message"] and "skygcs-cli forget v2 --force" in outcome["message"]
+        far = await gcs.outcome("vehicles.goto", enu_m=[-200.0, 0.0, 10.0])
+        assert far["ok"], far
+        await gcs.done("vehicles.hold")
+        forgotten = (await gcs("vehicles.forget", targets="v2", force=True))["outcomes"]["v2"]
+        assert forgotten["ok"]
+        await asyncio.sleep(1.0)
+        assert (await gcs.outcome("vehicles.goto", enu_m=there))["ok"]
+
+
 @KINDS
 async def test_one_that_was_lost_on_its_way_home_is_in_the_way_all_the_way(
     tmp_path: Path, kind: dict[str, int]

@@ -32,6 +32,7 @@ class Fake(SimpleNamespace):
 
 
 def actor(name: str) -> VehicleActor:
+    ends = list[str]()
     made = Fake(
         name=name,
         sysid=1,
@@ -51,6 +52,7 @@ def actor(name: str) -> VehicleActor:
             ledger=SimpleNamespace(effective_serial=0),
         ),
         offboard=SimpleNamespace(controller=SimpleNamespace(flight=None), lead_s=0.0),
+        stream=SimpleNamespace(ends=ends, ended=ends.append),
     )
     return cast(VehicleActor, made)
 
@@ -131,6 +133,7 @@ async def test_a_group_that_an_abort_is_about_to_stop_is_not_paused(gone: str | 
         offboard.follow_trajectory = partial(follow, offboard.controller)
         await kept.load(one, line(10), one.name)
     assert kept.start(both, loop.time() + 1.0, 1.0)["bravo"].ok
+    assert [cast(Any, one).stream.ends for one in both] == [["a trajectory was started"]] * 2
     await asyncio.sleep(4)
     kept.abort(both)
     if gone is None:
