@@ -169,7 +169,7 @@ Streamed = list[tuple[float, str, str | None]]
         # an order ends the stream: its owner does not take the vehicle back, another may begin
         *([(0.0, "A", None), (0.1, order, None), (0.15, "A", how), (0.5, "A!", how), (1.6, "A", None)]
           for order, how in (("order ends", "another order"), ("order True", "another order"), ("goto", "a goto"))),
-        [(0.0, "A", None), (0.1, "order ends", None), (0.15, "B", None), (0.2, "A", "another order"), (0.3, "A gone", None)],
+        [(0.0, "A", None), (0.1, "order ends", None), (0.15, "B", None), (0.2, "A", "another order")],
         # one that the vehicle refused and that ends no flight takes nothing: a mission that it does not have
         [(0.0, "A", None), (0.1, "order False", None), (0.2, "A", None), (0.3, "B", "of A")],
         # of one whose deadline had passed before the order nothing was taken
