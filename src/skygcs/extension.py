@@ -289,7 +289,7 @@ class Extensions:
         return refusal
 
     def __iter__(self) -> Iterator[Extension[Any]]:
-        return iter(self._parts.values())
+        return iter(tuple(self._parts.values()))  # one may be made on demand while these are started
 
     def __getitem__(self, table: str) -> Extension[Any]:
         """The extension of this table, or of this first word of methods. Raises KeyError."""

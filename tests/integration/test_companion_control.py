@@ -148,6 +148,29 @@ async def test_a_client_of_the_companions_own_and_the_ground_do_not_fly_it_in_tu
         await pair.done("control.setpoint", client=other, **still)
 
 
+async def test_what_the_companion_refuses_the_ground_ends_no_stream_there(tmp_path: Path) -> None:
+    async with companion_pair(tmp_path, px4=1, engaged="raw") as pair:
+        level = {"acc_enu_mps2": [0.0, 0.0, 0.0], "valid_s": 2.0}
+        await pair.pi.done("control.setpoint", **level)
+        refused = await pair.outcome("vehicles.goto", enu_m=[3.0, 0.0, 10.0])
+        assert not refused["ok"] and "it is flown in raw" in refused["message"], refused
+        await pair.pi.done("control.setpoint", **level)
+
+
+async def test_a_setpoint_that_the_ground_refuses_does_not_make_the_next_one_insist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with companion_pair(tmp_path, px4=1, engaged="velocity") as pair:
+        still = {"vel_enu_mps": [0.0, 0.0, 0.0], "valid_s": 2.0}
+        await pair.pi.done("control.setpoint", **still)
+        with monkeypatch.context() as near:
+            near.setattr(pair.ground.fleet.monitor, "setpoint_refusal", lambda *_: "too close")
+            assert "too close" in (await pair.outcome("control.setpoint", take_over=True, **still))["message"]
+        await pair.outcome("control.setpoint", **still)
+        await asyncio.sleep(0.5)
+        assert pair.pi.control()["stream"]["client"] == "client 0"
+
+
 async def test_a_goto_is_not_undone_by_a_setpoint_that_was_given_before_it(tmp_path: Path) -> None:
     """It waited for a place on the way, and left after the goto."""
     async with companion_pair(tmp_path, px4=1, delay_s=0.7, engaged="position") as pair:

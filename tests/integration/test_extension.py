@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ from skygcs.core.routing.send_gates import SendGate
 from skygcs.core.vehicle.flight_lock import Holder
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, RpcError
-from skygcs.extension import Extension, Extensions
+from skygcs.extension import Extension, Extensions, NoTable
 from skygcs.rpc.client import connect
 from support.daemons import started
 from support.flown import aloft
@@ -160,6 +161,17 @@ def test_a_fault_of_one_refuses_orders_but_none_that_ends_a_flight() -> None:
     assert extensions.groups_of(None, 0.0, None) == {"failing": None}  # type: ignore[arg-type]
     extensions.close()
     assert len(faults) == 3
+
+
+def test_one_is_made_on_demand_while_others_are_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client called a method of it at the begin of the daemon: RuntimeError, and the daemon ended."""
+    monkeypatch.setattr("skygcs.extension.find_on_demand", lambda word: Extension)
+    extensions = Extensions(
+        {"a": Extension(None, NoTable()), "b": Extension(None, NoTable())}, [].append, SimpleNamespace()
+    )  # type: ignore[arg-type]
+    for begun, _ in enumerate(extensions):
+        extensions.demand(f"other{begun}")
+    assert len([*extensions]) == 4
 
 
 @pytest.mark.looptime

@@ -173,6 +173,10 @@ class OnDemand(Protocol):
         """True if a method that is not in the table may come into it, or calls before this one wait for that."""
         ...
 
+    def came(self) -> Callable[[], None]:
+        """Note that a call comes which has to wait. Returns what the task that carries it out calls first."""
+        ...
+
     async def add(self, name: str) -> None:
         """Add it, if it exists. It returns to calls of one first word in the order in which they came. Raises what
         adding it raises."""
@@ -264,7 +268,7 @@ class Dispatcher(Generic[C]):
         if (refusal := admit(request)) is not None:
             return None if notification else refusal
         if self._on_demand is not None and self._on_demand.may_have(name):
-            return self._start_later(self._on_demand, context, request, key_twice, admit)
+            return self._start_later(self._on_demand, context, request, key_twice, admit, self._on_demand.came())
         return self._start_now(context, request, key_twice)
 
     def _start_now(self, context: C, request: dict[str, Any], key_twice: Callable[[], str | None]) -> Reply:
@@ -314,9 +318,11 @@ class Dispatcher(Generic[C]):
         request: dict[str, Any],
         key_twice: Callable[[], str | None],
         admit: Admit,
+        begins: Callable[[], None],
     ) -> bytes:
         """The first calls of methods that are imported for them, beside the loop, in their order. Closed before its
-        first step it has begun nothing."""
+        first step it has begun nothing. ``begins``: see `OnDemand.came`."""
+        begins()
         try:
             await on_demand.add(request["method"])
         except Exception as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 from collections.abc import Awaitable, Callable, Collection, Coroutine
 from typing import Any, Protocol
 
@@ -17,6 +18,7 @@ import structlog
 from skygcs.config.extension_tables import demanded_word, entry_point_problems, find_on_demand, installed, on_demand
 from skygcs.errors import RefusedError
 from skygcs.rpc.dispatch import Method, MethodTable, first_word
+from skygcs.runtime.task_set import ask, asking_from
 
 _log = structlog.get_logger(__name__)
 
@@ -60,6 +62,10 @@ class MethodsOnDemand:
         if first_word(name) in self._last_turns:
             return True
         return name not in self._table and (self._words is None or demanded_word(name, self._words) in self._words)
+
+    def came(self) -> Callable[[], None]:
+        """Note that a call comes which has to wait: its order is asked for now. Returns what its task calls first."""
+        return functools.partial(asking_from, ask())
 
     async def add(self, name: str) -> None:
         """Add the methods with the first word of ``name``, if there are any. It returns to calls of one first word in

@@ -5,6 +5,7 @@ Of two orders the later one counts, whichever waited longer on its way. So each 
     asked for by                                    its serial
     ---------------------------------------------   ------------------------------------------------------------
     a person or program (`FleetOrders.command_all`)  a new one (`ask`)
+    that, in a call that waits for its methods      that of when the call came (`asking_from`)
     the daemon, to carry out one of these later     that of the order which it carries out
     a plan, with each of its orders                 that of the last order of a person to the plan
     the daemon by itself: a hold                    `OWN`: it makes no order of a person void
@@ -41,10 +42,23 @@ takes the vehicle meanwhile. No task of a `TaskSet` inherits it."""
 
 _serials = itertools.count(OWN + 1)
 
+_came: ContextVar[int | None] = ContextVar("came", default=None)
+"""Serial of when the present call came, until its first order has it."""
+
 
 def ask() -> int:
-    """Serial of an order that is asked for now. Nothing else makes one."""
-    return next(_serials)
+    """Serial of an order that is asked for now, or was when the present call came (`asking_from`). Nothing else makes
+    one."""
+    if (serial := _came.get()) is None:
+        return next(_serials)
+    _came.set(None)
+    return serial
+
+
+def asking_from(serial: int) -> None:
+    """The present task carries out a call that came when this serial was made, and has waited since: its first order
+    was asked for then, and one that was asked for meanwhile is newer."""
+    _came.set(serial)
 
 
 @contextmanager

@@ -577,19 +577,22 @@ class VehicleActor:
         **wanted: Any,
     ) -> Outcome:
         """One setpoint of this client's stream in the fleet's world frame; fast enough for 50 calls a second.
-        ``wanted``: see `_setpoint`. ``program``: which flies it, with others; None: a client does."""
+        ``wanted``: see `_checked`. ``program``: which flies it, with others; None: a client does."""
 
         def follow() -> Outcome:
+            checked = self._checked(valid_s, program, **wanted)
+            if isinstance(checked, Outcome):
+                return checked
             if take_over and not isinstance(self.offboard, OffboardEngagement):
                 self.offboard.insist()
-            return self._setpoint(valid_s, program, **wanted)
+            return checked()
 
         outcome = self.stream.follow(client, valid_s, follow, take_over=take_over)
         if outcome.ok:
             self.program = program
         return outcome
 
-    def _setpoint(
+    def _checked(
         self,
         valid_s: float,
         program: SetpointProgram | None,
@@ -601,9 +604,9 @@ class VehicleActor:
         yaw_rate_dps: float | None = None,
         force: bool = False,
         **raw: Any,
-    ) -> Outcome:
-        """``raw``: see `raw_setpoint.raw_from_world`; also an acceleration alone. ``force``: although it leads too
-        close to another vehicle."""
+    ) -> Outcome | Callable[[], Outcome]:
+        """Return what follows a setpoint, or its refusal. ``raw``: see `raw_setpoint.raw_from_world`; also an
+        acceleration alone. ``force``: although it leads too close to another vehicle."""
         # a raw setpoint of the user's own controller, or a reference
         origin = self.vehicle.origin
         if origin is None:
@@ -612,7 +615,7 @@ class VehicleActor:
             no_place = pos_enu_m is None and vel_enu_mps is None
             if no_place and (acc_enu_mps2 is not None or any(value is not None for value in raw.values())):
                 own = raw_from_world(origin, acc_enu_mps2=acc_enu_mps2, yaw_deg=yaw_deg, **raw)
-                return self.offboard.follow_raw(own, valid_s)
+                return partial(self.offboard.follow_raw, own, valid_s)
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg, yaw_rate_dps)
         except RefusedError as error:
             return Outcome.refused(str(error))
@@ -621,7 +624,7 @@ class VehicleActor:
         checks = self.services.order_checks
         if not force and (why := checks.setpoint_refusal(self.vehicle, wanted, together)) is not None:
             return Outcome.refused(why)
-        return self.offboard.follow(wanted, valid_s)
+        return partial(self.offboard.follow, wanted, valid_s)
 
     def plan(self, planner: Callable[[Vehicle, float], Plan]) -> Plan | None:
         """The plan of `orders.land` or `orders.rtl` now; None if it is refused."""

@@ -21,6 +21,7 @@ from skygcs.rpc.methods import METHODS
 from skygcs.rpc.methods_on_demand import MethodsOnDemand
 from skygcs.rpc.models import NoParams
 from skygcs.rpc.replies import error_reply
+from skygcs.runtime.task_set import ask
 from support.extension_parts import ON_DEMAND, PLAIN_METHODS
 from support.table import each
 
@@ -103,6 +104,21 @@ async def test_calls_before_the_import_are_carried_out_in_their_order(monkeypatc
     assert isinstance(found.start(calls, "kite.add"), bytes)  # at once from now on
     assert found.dispatcher.always == {"kite.add"}  # also where all places are taken
     assert found.dispatcher.outlives_client({"method": "kite.land"})
+
+
+async def test_the_order_of_a_call_that_waits_was_asked_for_when_the_call_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first missions.start, which waited for its import, took the place of a hold that was ordered meanwhile."""
+    found, serials = Installed(monkeypatch), list[int]()
+    fly: Method[list[int]] = Method("kite.fly", NoParams, lambda serials, _: serials.extend((ask(), ask())))
+    monkeypatch.setattr(found, "demand", lambda word, accept: (fly,))
+    found.beside.clear()
+    before = ask()
+    waits = asyncio.ensure_future(answered(found.start(serials, "kite.fly")))  # type: ignore[arg-type]
+    hold = ask()
+    found.beside.set()
+    await waits
+    assert before < serials[0] < hold < serials[1]  # only its first order
+    assert hold < ask()
 
 
 async def test_what_no_extension_has_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:

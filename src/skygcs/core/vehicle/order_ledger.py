@@ -18,7 +18,8 @@ A stream of setpoints has one owner (`StreamOwner`):
     alive                                     its owner                       followed
     alive                                     another                         refused
     alive                                     another, with ``take_over``     followed: the owner before has lost it
-    ended by an order while it was alive      the owner                       refused: it has lost it
+    ended by an order while it was alive      the owner                       refused: it has lost it; not by one that
+                                                                              the vehicle refused and ends no flight
     any                                       a client that has lost it       refused until it has paused, or control is
                                                                               engaged again
 
@@ -120,6 +121,12 @@ class OrderLedger:
         """True if an order that was asked for later is effective, or in progress."""
         return any(later > serial for later in (self.effective_serial, *(o.serial for o in self._in_progress.values())))
 
+    @property
+    def led_by(self) -> int:
+        """Number of the newest order that takes the place of what led the vehicle before: an effective one, or one that
+        ends a flight, whatever becomes of it."""
+        return max(self.effective, self._ending_number)
+
     def flight_ended_since(self, number: int) -> bool:
         """True if an order that ends a flight has begun after this one."""
         return self._ending_number > number
@@ -207,7 +214,7 @@ class StreamOwner:
     """The owner of one vehicle's stream of setpoints. `refusal` before each of them, `followed` after it."""
 
     def __init__(self, ledger: OrderLedger) -> None:
-        """``ledger``: an order that moves the vehicle ends the stream."""
+        """``ledger``: the orders that end the stream (`OrderLedger.led_by`)."""
         self.refused = 0
         """Setpoints that were refused for another owner."""
         self._ledger = ledger
@@ -216,7 +223,7 @@ class StreamOwner:
         """Deadline of the owner's newest setpoint."""
         self._valid_s = 0.0
         self._order = 0
-        """Number of the newest order when that came."""
+        """Number of the order by which the vehicle was led before that."""
         self._lost: dict[ClientIdentity, tuple[float, str]] = {}
         """Clients that have lost their stream and still send: until when each has to pause, and how."""
         self._told: set[ClientIdentity] = set()
@@ -225,14 +232,14 @@ class StreamOwner:
     def alive(self, now: float) -> ClientIdentity | None:
         """The owner of the stream that is alive; None: anybody may begin one."""
         client = self._client
-        if client is None or client.gone or not now <= self._until or self._order != self._ledger.number:
+        if client is None or client.gone or not now <= self._until or self._order != self._ledger.led_by:
             return None
         return client
 
     def refusal(self, client: ClientIdentity, valid_s: float, now: float, *, take_over: bool) -> str | None:
         """Why a setpoint of this client, good for ``valid_s``, is not followed; None: it may be. Counts a refusal."""
         if client is self._client:
-            if self._order == self._ledger.number:
+            if self._order == self._ledger.led_by:
                 return None
             self.ended(ORDERED, now)
         why = None
@@ -265,7 +272,7 @@ class StreamOwner:
             self.ended(ORDERED if before is None else f"{client.name} has taken it over", now)
             self._client = client
             self._told.clear()
-        self._until, self._valid_s, self._order = now + valid_s, valid_s, self._ledger.number
+        self._until, self._valid_s, self._order = now + valid_s, valid_s, self._ledger.led_by
         return before
 
     def ended(self, how: str, now: float, *, spares: ClientIdentity | None = None) -> None:

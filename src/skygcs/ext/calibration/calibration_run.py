@@ -160,6 +160,7 @@ class CalibrationRun(VehiclePart):
         await self._tasks.settled()
 
     def close(self, reason: str) -> None:
+        self.stop("lost", reason)  # nobody ticks it any more: it would not end by itself
         self._timer.set(None)
         self._tasks.close()
 

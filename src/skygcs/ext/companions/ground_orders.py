@@ -297,8 +297,8 @@ class GroundOrders:
                 place = wire.setpoint_from({"place": given.get("place"), "yaw_enu_rad": given.get("yaw_enu_rad")})
                 if place.place is None:
                     raise RefusedError("a goto has a place")
-                self._end_stream(actor, "the ground ordered a goto")
-                return await engagement.fly_to(place.place, place.yaw_enu_rad)
+                outcome = await engagement.fly_to(place.place, place.yaw_enu_rad)
+                return self._led(actor, outcome, "the ground ordered a goto")
             case "gains":
                 changes = given.get("changes")
                 return await actor.change_gains(
@@ -308,9 +308,7 @@ class GroundOrders:
                 path = await engagement.record(given.get("on") is True)
                 return Outcome(True, "accepted", path or "")
             case "start":
-                outcome = self._start(engagement, number, given)
-                self._end_stream(actor, "the ground started a trajectory")
-                return outcome
+                return self._led(actor, self._start(engagement, number, given), "the ground started a trajectory")
             case "clock":
                 return self._order_clock(engagement, given)
         raise RefusedError(f"the companion knows no order {order!r}; is its skygcs older?")
@@ -329,9 +327,12 @@ class GroundOrders:
         if order == "taken_over":
             actor.unattended.watch.on_station("the ground", "place", self._loop.time())
 
-    def _end_stream(self, actor: VehicleActor, how: str) -> None:
-        """An order of the ground leads it from now on. The ground itself knows which of its clients has lost it."""
-        actor.stream.ended(how, spares=self._client)
+    def _led(self, actor: VehicleActor, outcome: Outcome, how: str) -> Outcome:
+        """Return the outcome of an order of the ground, which leads it from now on if it is accepted. The ground itself
+        knows which of its clients has lost it."""
+        if outcome.ok:
+            actor.stream.ended(how, spares=self._client)
+        return outcome
 
     def _take_origin(self, origin: Origin | None) -> Outcome:
         """The ground's origin, in which its trajectories are. Raises RefusedError, which names both."""

@@ -146,7 +146,7 @@ def test_what_has_changed_the_mode_counts_though_it_is_refused_then() -> None:
 
 Streamed = list[tuple[float, str, str | None]]
 """When, who or what, and a part of the refusal; None: it is followed. "A": a setpoint of A; "A!": with take_over;
-"A gone", "order", "goto", "engaged", "lead B": what happens."""
+"A gone", "order ends" (a flight), "order True", "goto", "engaged", "lead B": what happens."""
 
 
 @pytest.mark.parametrize(
@@ -168,10 +168,12 @@ Streamed = list[tuple[float, str, str | None]]
          (1.25, "A!", "B has"), (2.3, "A!", None), (2.45, "C", "of A")],
         # an order ends the stream: its owner does not take the vehicle back, another may begin
         *([(0.0, "A", None), (0.1, order, None), (0.15, "A", how), (0.5, "A!", how), (1.6, "A", None)]
-          for order, how in (("order", "another order"), ("goto", "a goto"))),
-        [(0.0, "A", None), (0.1, "order", None), (0.15, "B", None), (0.2, "A", "another order"), (0.3, "A gone", None)],
+          for order, how in (("order ends", "another order"), ("order True", "another order"), ("goto", "a goto"))),
+        [(0.0, "A", None), (0.1, "order ends", None), (0.15, "B", None), (0.2, "A", "another order")],
+        # one that the vehicle refused and that ends no flight takes nothing: a mission that it does not have
+        [(0.0, "A", None), (0.1, "order False", None), (0.2, "A", None), (0.3, "B", "of A")],
         # of one whose deadline had passed before the order nothing was taken
-        [(0.0, "A", None), (0.6, "order", None), (0.7, "A", None)],
+        [(0.0, "A", None), (0.6, "order ends", None), (0.7, "A", None)],
         # control is set again: who had lost it goes on; an owner beside it stays the owner
         [(0.0, "A", None), (0.1, "goto", None), (0.15, "A", "a goto"), (0.2, "engaged", None), (0.25, "A", None),
          (0.3, "engaged", None), (0.3, "B", "of A"), (0.31, "engaged anew", None), (0.32, "B", None)],
@@ -194,8 +196,10 @@ def test_a_stream_has_one_owner(streamed: Streamed) -> None:
     for now, what, expected in streamed:
         why = None
         match what.split():
-            case ["order"]:
+            case ["order", "ends"]:
                 ledger.ended(ledger.begins("hold", 1, ends_flight=True), DENIED)
+            case ["order", ok]:
+                ledger.ended(ledger.begins("mission", 1, ends_flight=False), DONE if ok == "True" else DENIED)
             case ["goto"]:
                 owner.ended("a goto was ordered", now)
             case ["engaged", *anew]:

@@ -182,9 +182,13 @@ async def test_a_px4_that_does_not_confirm_a_cancellation_is_given_up() -> None:
 
 
 @FIRMWARES
-async def test_a_lost_or_rebooted_vehicle_ends_it(px4: bool) -> None:
+@pytest.mark.parametrize("forgotten", [False, True])
+async def test_a_lost_rebooted_or_forgotten_vehicle_ends_it(px4: bool, forgotten: bool) -> None:
     async with Field(px4) as field:
         run = asyncio.ensure_future(calibrate(field.actor, sensor=Sensor.COMPASS))
         await asyncio.sleep(3.0)
-        field.simulated.reboot(field.loop.time())
+        if forgotten:
+            field.fleet.forget("all", force=True)
+        else:
+            field.simulated.reboot(field.loop.time())
         assert (await asyncio.wait_for(run, 60.0)).result == "lost"
