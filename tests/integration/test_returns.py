@@ -11,7 +11,7 @@ import pytest
 from skygcs.runtime import returns
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import GOING_HOME, Flown, aloft
+from support.flown import GOING_HOME, Flown, aloft, flown
 from support.planned import MARGIN_M, least_distance
 from support.returning import all_down, swapped
 
@@ -150,6 +150,22 @@ async def test_another_order_takes_one_that_waits(tmp_path: Path) -> None:
         await gcs.until(lambda: any("does not return" in t for t in gcs.texts(since, "command", other)), 150.0)
         assert not gcs.commands(since, waiting[0]) and not gcs.sim(waiting[0]).armed
         assert gcs.is_safe(other) and gcs.sim(other).armed, "the first has landed on its home"
+
+
+@pytest.mark.deep
+async def test_preflight_asks_for_return_heights_that_differ(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=2, takeoff=False) as gcs:
+        for sim, height_m in zip(gcs.sims, (15.0, 15.0, 30.0), strict=True):
+            sim.params.set("RTL_RETURN_ALT", height_m)
+            sim.params.set("RTL_ALT", 100.0 * height_m)
+        reports = await gcs("preflight.run", targets="all")
+        asked = {
+            name: finding["text"]
+            for name, report in reports["vehicles"].items()
+            for finding in report["findings"]
+            if finding["check"] == "return heights"
+        }
+        assert asked.keys() == {"v2"} and "RTL_ALT 2000 (20 m)" in asked["v2"], asked
 
 
 async def test_three_in_each_others_ways_come_home_apart_although_the_order_is_repeated(tmp_path: Path) -> None:

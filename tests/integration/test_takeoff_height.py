@@ -37,6 +37,27 @@ async def test_it_counts_from_the_ground_and_not_from_home(tmp_path: Path) -> No
         assert not [t for t in gcs.told if t.kind == "takeoff"]
 
 
+@pytest.mark.deep
+@KINDS
+async def test_home_moves_between_the_order_and_the_climb(tmp_path: Path, kind: dict[str, int]) -> None:
+    """By the arming, as an ArduCopter moves a home that no station set; and by a station after it has armed."""
+    async with flown(tmp_path, takeoff=False, conditions=WINDY, **kind) as gcs:
+        gcs.sim().set_home(Home(0.0, 0.0, 10.0))  # not set by a station: arming puts it where it stands
+        await asyncio.sleep(2.0)
+        await gcs.done("vehicles.takeoff", height_m=5.0, wait_s=30.0)
+        await asyncio.sleep(30.0)
+        assert gcs.place()[2] == pytest.approx(5.0, abs=0.7)
+        await gcs.done("vehicles.land")
+        await gcs.until(lambda: not gcs.actor().vehicle.armed, 120.0)
+        await asyncio.sleep(3.0)
+        ordered = asyncio.create_task(gcs.outcome("vehicles.takeoff", height_m=5.0, wait_s=30.0))
+        await gcs.until(lambda: gcs.sim().armed, 10.0)
+        move_home(gcs, 8.0)
+        assert (await ordered)["ok"]
+        await asyncio.sleep(30.0)
+        assert gcs.place()[2] == pytest.approx(5.0, abs=0.7)
+
+
 async def test_a_take_off_to_a_wrong_height_is_an_alarm(tmp_path: Path) -> None:
     """A station moves home after the height was computed: too high, and too low."""
     for home_up_m, word in ((6.0, "ordered"), (-3.0, "stopped climbing")):

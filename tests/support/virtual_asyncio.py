@@ -14,7 +14,7 @@ import itertools
 import selectors
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
@@ -27,6 +27,10 @@ piece of work in `make test` took less than half a second on a busy machine (non
 
 IN_TURN_S = 1.0
 """Of true time: a thread that is done waits so long for an older one, which may be waiting for it."""
+
+BUSY_TURNS = 1000
+"""Turns of a loop that always has something to run, after which the oldest thread is waited for: a task that yields
+again and again until a thread is done would wait for ever."""
 
 LOOK_S = 1e-5
 """CPU time that a step of work in short turns is said to take: about what one pair of vehicles takes the monitor."""
@@ -50,6 +54,7 @@ class ThreadsInTurn:
         self._wake = wake
         self._jobs: deque[tuple[Future[Any], Future[Any]]] = deque()
         """Of each the work and what the loop sees of it."""
+        self._busy_turns = 0
 
     def __bool__(self) -> bool:
         """True if there is work that the loop waits for."""
@@ -65,8 +70,16 @@ class ThreadsInTurn:
         job.add_done_callback(lambda _: self._wake())
         return shown
 
+    def busy_turn(self) -> None:
+        """Count a turn in which the loop has something else to run."""
+        self._busy_turns += 1
+        if self._busy_turns >= BUSY_TURNS and self:
+            wait((self._jobs[0][0],), IN_TURN_S)
+            self.hand_over(out_of_turn=True)
+
     def hand_over(self, *, out_of_turn: bool = False) -> bool:
         """Pass on what the oldest has found, or ``out_of_turn`` the oldest that is done; False if it still works."""
+        self._busy_turns = 0
         if not self:
             return False
         done = (pair for pair in self._jobs if pair[0].done() and not pair[1].done())
@@ -128,6 +141,7 @@ class VirtualAsyncio(asyncio.SelectorEventLoop):
         timer, which is ``timeout`` from now. None: there is none, and only somebody else can bring something."""
         ready = self._look(0)
         if ready or timeout == 0:
+            self._threads.busy_turn()
             return ready
         if self._threads.hand_over(out_of_turn=self.threads_are_stuck):
             return self._look(0)

@@ -96,6 +96,8 @@ class VirtualUvloop(uvloop.Loop):  # type: ignore[misc]  # uvloop has no types
         elif idle and not self._pass_time():
             super().call_later(LOOK_AGAIN_S, self._turn)
         else:
+            if not idle:
+                self._threads.busy_turn()
             super().call_soon(self._turn)
 
     def _wait_for_thread(self) -> None:

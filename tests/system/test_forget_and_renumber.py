@@ -22,6 +22,7 @@ ardupilot = 1
 first_sysid = 2
 [vehicles.papa]
 sysid = 1
+group = "scouts"
 """
 
 
@@ -36,6 +37,7 @@ def test_a_vehicle_is_renumbered_and_a_ghost_forgotten(tmp_path: Path) -> None:
         )
         line = daemon.file.read_text().splitlines().index("sysid = 1") + 1
         assert f"{daemon.file}, line {line}" in " ".join(done.stdout.split())
+        assert [s["sysid"] for s in json.loads(daemon.cli("status", "scouts", "--json").stdout)] == [22]
         states = json.loads(daemon.cli("status", "--json").stdout)
         assert {s["name"]: s["sysid"] for s in states} == {"papa": 22, "v2": 2}
         taken = daemon.cli("sysid", "papa", "2")

@@ -53,9 +53,9 @@ static void swap_generations(Seen *seen, double now) {
     seen->newer = seen->older;
     seen->older = old;
     clear_generation(&seen->newer);
-    if (now >= seen->swap_at + WINDOW_S) clear_generation(&seen->older);
-    int late = now >= seen->swap_at && now < seen->swap_at + WINDOW_S;
-    seen->swap_at = (late ? seen->swap_at : now) + WINDOW_S;
+    double late_s = now - seen->swap_at; /* below 0: full before its time */
+    if (late_s >= WINDOW_S) clear_generation(&seen->older);
+    seen->swap_at = (late_s >= 0.0 && late_s < WINDOW_S ? seen->swap_at : now) + WINDOW_S;
 }
 
 static uint64_t *seen_slot(const Generation *g, uint64_t key) {

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from skygcs.runtime.task_set import in_short_turns
+from support.virtual_asyncio import BUSY_TURNS
 from support.virtual_uvloop import VirtualUvloop
 
 
@@ -48,16 +49,27 @@ async def ends_of_threads() -> list[float]:
     return ended
 
 
+async def looks_until_a_thread_ends() -> None:
+    """A task that yields until a thread is done, so that the loop always has something to run, waited for ever."""
+    thread, looks = asyncio.get_running_loop().run_in_executor(None, time.sleep, 0.01), 0
+    while not thread.done():
+        await asyncio.sleep(0)
+        looks += 1
+        assert looks < 3 * BUSY_TURNS
+
+
 @pytest.mark.looptime
 async def test_the_clock_of_asyncio_stands_still_and_threads_end_as_they_began() -> None:
     assert await timers_during_a_thread() == (0.0, 0)
     assert await ends_of_threads() == [0.05, 0.0]
+    await looks_until_a_thread_ends()
 
 
 def test_the_clock_of_uvloop_stands_still_and_threads_end_as_they_began() -> None:
     with asyncio.Runner(loop_factory=VirtualUvloop) as runner:
         assert runner.run(timers_during_a_thread()) == (0.0, 0)
         assert runner.run(ends_of_threads()) == [0.05, 0.0]
+        runner.run(looks_until_a_thread_ends())
 
 
 @pytest.mark.looptime

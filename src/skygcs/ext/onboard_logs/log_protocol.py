@@ -181,11 +181,12 @@ class OnboardLogList(_LogMachine):
         return (self._sent(now, "LOG_REQUEST_LIST", {"start": first, "end": last}),)
 
     def _missing(self) -> tuple[int, int]:
-        """The range with all missing entries. ArduPilot's numbers begin with 1, PX4's with 0."""
+        """The range with all missing entries. ArduPilot's numbers begin with 1, PX4's with 0: while neither the first
+        of a PX4 nor the last of an ArduPilot has come, both may be missing."""
         if self._count is None or not self.entries:
             return 0, 0xFFFF
-        first = 0 if 0 in self.entries else 1
-        missing = [n for n in range(first, first + self._count) if n not in self.entries]
+        begin, end = (0, self._count) if 0 in self.entries else (self._count in self.entries, self._count + 1)
+        missing = [n for n in range(begin, end) if n not in self.entries]
         return (missing[0], missing[-1]) if missing else (0, 0xFFFF)
 
 

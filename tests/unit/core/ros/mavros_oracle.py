@@ -265,7 +265,10 @@ class Mavros:
         return {"imu/data": data | {"@": "base_link", "t": 1000 * m.time_boot_ms}}
 
     def highres_imu(self, m: Any) -> dict[str, Any]:  # imu: handle_highres_imu
+        kept = self.accel, self.has_accel
         made = self.raw(m, m.time_usec, 1.0, 1.0, 1e-4)
+        if not m.fields_updated & 0x3F:  # then publish_imu_data_raw, which keeps the acceleration, is not called
+            self.accel, self.has_accel = kept
         plain = {"imu/static_pressure": m.abs_pressure, "imu/diff_pressure": m.diff_pressure}
         made |= {topic: {"fluid_pressure": value} for topic, value in plain.items()}
         made["imu/temperature_imu"] = {"temperature": m.temperature}

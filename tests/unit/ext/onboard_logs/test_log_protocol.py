@@ -110,6 +110,19 @@ def test_lists_and_logs_are_whole_and_exact(px4: bool, loss: float) -> None:
             assert field.requests[-1] == "LOG_REQUEST_END"
 
 
+@each(("came", "asked"), [((1, 2), (0, 3)), ((1, 3), (2, 2)), ((0, 2), (1, 1)), ((2,), (0, 3))])
+def test_the_first_of_a_px4_and_the_last_of_an_ardupilot_are_asked_for(
+    came: tuple[int, ...], asked: tuple[int, int]
+) -> None:
+    """Of three logs; while neither came, it is not known whether they are numbered from 0 or from 1."""
+    machine = OnboardLogList()
+    machine.start(0.0)
+    for number in came:
+        machine.on_entry(LogInfo(number, 1, 1), 3, 0.0)
+    (send,) = machine.on_timer(10.0)
+    assert isinstance(send, Send) and (send.values["start"], send.values["end"]) == asked
+
+
 def test_a_good_network_needs_one_request_for_each_chunk() -> None:
     field = Field(px4=False)
     info = field.listed()[2]

@@ -147,11 +147,12 @@ def test_where_the_lowest_layer_is(start_m: float, goal_m: float, floor_m: float
 
 
 def test_the_most_constrained_go_first() -> None:
-    """Random exchanges of a grid take more layers in another order."""
+    """Five exchanges of a grid, the same in each run (a text is a seed that is not shifted), take 36 layers in the
+    order of their names."""
     places = [(5.0 * (n % 5), 5.0 * (n // 5), 10.0) for n in range(20)]
     used = []
     for seed in range(5):
-        goals = random.Random(seed).sample(places, 20)
+        goals = random.Random(f"grid {seed}").sample(places, 20)
         found = layered([f"v{n}" for n in range(20)], places, goals, [HALF_M] * 20, RATIO, FlightSpace(), 0.0)
         used.append(len(set(found[1].layer)))
-    assert sum(used) <= 38, used
+    assert sum(used) <= 34, used
