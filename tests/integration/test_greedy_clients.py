@@ -31,6 +31,7 @@ class Desk:
 
     def __init__(self, gcs: Flown) -> None:
         self.gcs = gcs
+        gcs.daemon.extensions.demand("preflight")  # as a session does before its first call
         self.gate = WorkGate(gcs.daemon.fleet.resolve_any)
         self.dispatcher: Dispatcher[Any] = Dispatcher(PLAIN_METHODS, gate=self.gate)
         self.most = 0
