@@ -126,3 +126,32 @@ def test_a_stream_that_ends_leaves_it_where_it_is(air: Field, figures: dict[str,
     assert figures["stopped after m"] < 5
     assert air.control(air.one)["state"] != "off"
     air.daemon.call("control.set", targets=air.one, mode="off")
+
+
+def test_one_client_leads_it_until_another_insists(air: Field, figures: dict[str, Any]) -> None:
+    """Both stream all the time: the vehicle goes the way of one of them, in the air too."""
+    away, north = {"vel_enu_mps": [0.0, 0.0, 0.0]}, {"vel_enu_mps": [0.0, 1.0, 0.0]}
+
+    def flown(seconds: float) -> tuple[float, ...]:
+        """Mean velocity of the vehicle, by its own positions."""
+        began = air.enu(air.one)
+        time.sleep(seconds)
+        return tuple((b - a) / seconds for a, b in zip(began, air.enu(air.one), strict=True))
+
+    with air.controlled("velocity", lambda t: away) as first:
+        air.wait(lambda: air.control(air.one)["stream"], 10, "the first leads it")
+        away = {"vel_enu_mps": [-1.0, 0.0, 0.0]}  # from the second vehicle
+        with Stream(air.daemon.socket, air.one, lambda t: north, RATE_HZ) as second:
+            time.sleep(2)
+            figures["the first's m/s"] = led = flown(3)
+            assert second.sent and len(second.refused) == len(second.sent) and not first.refused, first.refused[:1]
+            north = north | {"take_over": True}
+            time.sleep(2)
+            figures["the second's m/s"] = taken = flown(3)
+            refused = [answer["result"]["outcomes"][air.one] for answer in first.refused]
+            assert refused and all(outcome["taken"] for outcome in refused), refused[:1]
+        figures["standing s"] = air.wait(lambda: air.truth(air.one).speed_mps < 0.4, 15, "it stands")
+        air.holds(lambda: air.truth(air.one).speed_mps < 0.8, 2, "the first leads again although it lost the vehicle")
+        refusals = len(second.refused), len(first.refused)
+        figures["refused"] = f"{refusals[0]} of the second, then {refusals[1]} of the first"
+    assert led[0] < -0.5 and abs(led[1]) < 0.4 and taken[1] > 0.5 and abs(taken[0]) < 0.4, (led, taken)

@@ -278,8 +278,8 @@ def hold(vehicle: Vehicle, now: float) -> Plan:
 
 
 def stays_on_rotors(vehicle: Vehicle, now: float) -> bool:
-    """True for a hovering QuadPlane that is known to stay on its rotors in GUIDED (QuadPlane::guided_mode_enabled)."""
-    return vehicle.family == "ardupilot" and vehicle.hovers(now) and vehicle.param("Q_GUIDED_MODE") == 1.0
+    """True for a hovering QuadPlane that is known to stay on its rotors in GUIDED."""
+    return vehicle.hovers(now) and vehicle.on_rotors_in_guided
 
 
 NO_HOLD = "it needs a position to hold, and it does nothing else instead: land it, or fly it by transmitter"

@@ -56,6 +56,10 @@ LANDED_FRESH_S = 10.0
 VTOL_ON_ROTORS = frozenset({2, 3})
 """MAV_VTOL_STATE: in transition to a multicopter, and a multicopter."""
 
+VTOL_TO_WING = 1
+"""MAV_VTOL_STATE: in transition to a plane. A QuadPlane that stays on its rotors in GUIDED shows it in the first 0.2 s
+of each goto too (QuadPlane::guided_start), and the EXTENDED_SYS_STATE of that moment is the newest for 2 s."""
+
 BOOT_TEXT = "ardupilot ready"
 """Text that ArduPilot sends once, at the end of its start (AP_Vehicle::setup). Its version banner also answers each
 GCS, and "Initialising ArduPilot" also comes while it calibrates its gyros (AP_Vehicle::scheduler_delay_callback)."""
@@ -364,7 +368,16 @@ class Vehicle:
         if self.family == "ardupilot" and self.custom_mode in Q_MODES:
             return True
         slot = self.slots.get(self._landed_id)
-        return slot is not None and now - slot.at <= LANDED_FRESH_S and self._vtol_state in VTOL_ON_ROTORS
+        if slot is None or now - slot.at > LANDED_FRESH_S:
+            return False
+        if self._vtol_state == VTOL_TO_WING:
+            return self.mode == "GUIDED" and self.on_rotors_in_guided
+        return self._vtol_state in VTOL_ON_ROTORS
+
+    @property
+    def on_rotors_in_guided(self) -> bool:
+        """True for a QuadPlane that is known to fly on its rotors in GUIDED (QuadPlane::guided_mode_enabled)."""
+        return self.family == "ardupilot" and self.param("Q_GUIDED_MODE") == 1.0
 
     def in_air(self, now: float) -> bool | None:
         """True if it flies, and so could fall; None if that is not known. Never True for a vehicle that drives."""

@@ -493,6 +493,10 @@ def test_a_quadplane_that_stays_on_its_rotors_in_guided_holds_there() -> None:
     assert on_wing.done == "circling in LOITER, 60 m about where it was"
     stopped = orders.stop(Shown(ARDUPILOT, PLANE, 19, Q_GUIDED_MODE=1.0).vehicle, NOW, "hold")
     assert len(stopped.steps) == 1, "a stop ignores setpoints"
+    for stays, done in ((1.0, "holding in GUIDED"), (0.0, on_wing.done)):
+        sent_off = Shown(ARDUPILOT, PLANE, numbers["GUIDED"], Q_ENABLE=1.0, Q_GUIDED_MODE=stays)
+        sent_off.hear(mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_TRANSITION_TO_FW, 2))
+        assert orders.hold(sent_off.vehicle, NOW).done == done, "a hold after a goto made it a plane, 15 m up"
 
 
 def test_a_quadplane_that_hovers_goes_nowhere_as_a_plane_unless_somebody_insists() -> None:
