@@ -149,8 +149,9 @@ class SeparationMonitor:
         self._tasks = TaskSet(loop, on_event)
         self._destinations: dict[int, Destination] = {}
         self._serials = itertools.count()
-        self._beginning: dict[int, tuple[MissionRun, float]] = {}
-        """By key, the mission that a vehicle is being ordered to fly, and when that was checked."""
+        self._beginning: dict[int, tuple[MissionRun, float, int]] = {}
+        """By key, the mission that a vehicle is being ordered to fly, when that was checked, and the number of the
+        newest order to it by then."""
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
         self._boxes: dict[int, MissionBox] = {}
@@ -397,14 +398,16 @@ class SeparationMonitor:
     def begin_missions(self, runs: Mapping[VehicleActor, MissionRun]) -> None:
         """These are being ordered to fly these missions: for every other order they do so until theirs has ended."""
         now = self._loop.time()
-        self._beginning |= {actor.vehicle.key: (run, now) for actor, run in runs.items()}
+        self._beginning |= {actor.vehicle.key: (run, now, actor.order_number) for actor, run in runs.items()}
 
     def _begins(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
         """The ways of a vehicle by an order that is being given to it, which its telemetry does not show yet: along a
         mission, home or down."""
         ledger, ways = actor.runner.ledger, self._begins_home(actor, track, frame)
-        run, checked_at = self._beginning.get(track.key, (None, 0.0))
-        if run is not None and not ledger.in_progress and self._loop.time() - checked_at > BEGINS_S:
+        run, checked_at, number = self._beginning.get(track.key, (None, 0.0, 0))
+        begun = ledger.number - number  # 1: the order itself is the newest
+        lately = self._loop.time() - checked_at <= BEGINS_S
+        if run is not None and not (begun <= 1 and (lately or (begun == 1 and ledger.newest_in_progress))):
             del self._beginning[track.key]
         elif run is not None and (way := self._mission_way(actor, run, frame)) is not None:
             ways.append(way)

@@ -173,6 +173,31 @@ async def test_a_mission_does_not_lead_low_over_one_that_is_parked() -> None:
     sky.fleet.close()
 
 
+async def test_a_mission_that_is_begun_counts_for_its_own_order_only() -> None:
+    """It counted again during each later order to that vehicle, as no other one had been checked meanwhile."""
+    sky = Sky(2)
+    one, other = sky.vehicles
+    now = sky.loop.time()
+    for vehicle, north_m in ((one, 0.0), (other, 30.0)):
+        vehicle.heartbeat(now)
+        vehicle.position(now, (0.0, north_m, 50.0))
+    await sky.monitor.evaluate()
+    place, asked = EnuFrame(ORIGIN).to_geodetic(60.0, -30.0, 50.0), sky.fleet.find("v2").vehicle
+    ledger = sky.fleet.find("v1").runner.ledger
+
+    def crosses() -> bool:
+        return sky.monitor.goto_refusal(asked, place, frozenset()) is not None
+
+    assert not await mission_meets(sky, one, 100.0)
+    assert crosses(), "it is about to begin"
+    number = ledger.begins("mission", 1, ends_flight=False)
+    assert crosses(), "it begins"
+    ledger.ended(number, None)
+    ledger.begins("hold", 2, ends_flight=False)
+    assert not crosses(), "it was ordered something else"
+    sky.fleet.close()
+
+
 async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unknown_place() -> None:
     """As goto and take-off: it may be on any side of the middle of its circle."""
     sky = Sky(2)
