@@ -283,9 +283,7 @@ def _through(points: Sequence[Vector], ahead_s: float) -> _Path:
     return _Path(tuple(p for leg in legs for p in leg.pieces), sum(leg.duration_s for leg in legs), ahead_s, False)
 
 
-def _conflict(
-    mover: Mover, frame: EnuFrame, paths: Sequence[_Path], others: Iterable[Other], now: float
-) -> str | None:
+def _conflict(mover: Mover, frame: EnuFrame, paths: Sequence[_Path], others: Iterable[Other], now: float) -> str | None:
     """With which vehicle one of these paths conflicts, each of which it may fly; none is left out that is near one."""
     length_m, corners = max(path.length_m for path in paths), _corners([p for path in paths for p in path.corners])
     longest = max(paths, key=lambda path: path.duration_s)
