@@ -69,6 +69,7 @@ from skygcs.core.monitor.ways import (
     distance_m,
     find_way_conflicts,
     joined,
+    needed_m,
     sloped,
     standing,
     too_near,
@@ -101,6 +102,9 @@ ARRIVED_M = 2.0
 
 BEGINS_S = 1.0
 """From the check of an order to its entry in the vehicle's ledger, at most: it is sent at once."""
+
+ALIKE_MPS = 1.5
+"""Two whose velocities differ by less fly alike: it comes of noise and gusts, and is braked within 1.5 m."""
 
 HOME_OR_DOWN = {"rtl": False, "land": True, "stop": True}
 """Orders after which a vehicle flies home, or comes down where it is (True)."""
@@ -310,6 +314,30 @@ class SeparationMonitor:
             return None
         conflict = goto_conflict(mover, to, self._others(together, only=only), self._loop.time())
         return self._refusal(conflict or self._crosses(mover, to, together, only=only))
+
+    def unlike_refusals(self, vehicles: Sequence[Vehicle]) -> dict[int, str]:
+        """Which of these, that are sent somewhere together, should not be, by key, and why: before it turns, one would
+        come too near another that flies otherwise. Those that fly alike keep their distances."""
+        movers = [mover for vehicle in vehicles if (mover := self._mover(vehicle)) is not None]
+        flown = {vehicle.key: (vehicle.telemetry("position") or {}).get("vel_enu_mps", REST) for vehicle in vehicles}
+        if all(math.dist(flown[movers[0].key], flown[one.key]) <= ALIKE_MPS / 2.0 for one in movers):
+            movers.clear()  # most of them stand, or fly on side by side
+        ways = [(mover, _brakes(mover, self._frame_of(movers[0]))) for mover in movers]
+        ways.sort(key=lambda one: one[1].box)  # from west to east, so that few are compared
+        widest_m = max((needed_m(way, way) for _, way in ways), default=0.0)
+        found = dict[int, str]()
+        for n, (one, way) in enumerate(ways):
+            for other, theirs in itertools.islice(ways, n + 1, None):
+                if theirs.box[0] > way.box[1] + widest_m:
+                    break
+                unlike = math.dist(flown[one.key], flown[other.key]) > ALIKE_MPS
+                if not unlike or not too_near(way, theirs) or too_near(beginning(way), beginning(theirs)):
+                    continue
+                for mover, a, b in ((one, way, theirs), (other, theirs, way)):
+                    if mover.turns_m and mover.key not in found:
+                        text = f"{conflict_text(a, b, distance_m(a, b))}, before it has turned there"
+                        found[mover.key] = self._refusal(text) or text
+        return found
 
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
@@ -659,10 +687,9 @@ class SeparationMonitor:
             return []
         if (way := self._flown_mission(actor, frame)) is not None:
             return [way]
-        here, velocity = frame.from_ecef(track.ecef_m), _along(track, frame)
-        points = turning_points(here, velocity, track.turns_m, here)[:2]
-        way = Way(track.key, track.name, track.footprint, sloped(points), self._ball_m(track))
-        return [way] if len(points) > 1 else []
+        legs = _braking(frame.from_ecef(track.ecef_m), _along(track, frame), track.turns_m)
+        way = Way(track.key, track.name, track.footprint, legs, self._ball_m(track))
+        return [way] if track.turns_m else []
 
     def _mission_is_far(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> bool:
         """True if it flies a mission that is not near a straight way: most of a fleet's."""
@@ -818,3 +845,14 @@ def _ahead(here_m: Vector, track: Track) -> list[Vector]:
         return []
     x, y, z = (p + v * HORIZON_S for p, v in zip(here_m, track.reported_mps, strict=True))
     return [(x, y, z)]
+
+
+def _braking(here: Vector, velocity: Vector, on_m: float) -> tuple[Leg, ...]:
+    """From here to where what flies on by so much stands."""
+    return sloped(turning_points(here, velocity, on_m, here)[:2])
+
+
+def _brakes(mover: Mover, frame: EnuFrame) -> Way:
+    """The space of one until it turns to another place."""
+    legs = _braking(frame.from_geodetic(*mover.here), mover.velocity_mps, mover.turns_m)
+    return Way(mover.key, mover.name, mover.footprint, legs)

@@ -240,6 +240,29 @@ async def test_a_goto_that_is_given_again_counts_no_turn_beyond_where_it_stops_a
     sky.fleet.close()
 
 
+@pytest.mark.parametrize(
+    ("one_mps", "other_mps", "refused"), [(4.8, 0.0, True), (4.8, 4.5, False), (0.6, -0.6, False), (-4.8, 0.0, False)]
+)
+async def test_one_goto_of_several_counts_how_those_brake_that_do_not_fly_alike(
+    one_mps: float, other_mps: float, refused: bool
+) -> None:
+    """One at 4.8 m/s was sent elsewhere together with another 8 m before it, and flew to it first (flight 1110)."""
+    sky = Sky(2)
+    now = sky.loop.time()
+    for vehicle, x, mps in zip(sky.vehicles, (0.0, 8.0), (one_mps, other_mps), strict=True):
+        vehicle.heartbeat(now)
+        vehicle.send("HOME_POSITION", now, latitude=437806000, longitude=-794653000, altitude=180000)
+        vehicle.position(now, (x, 0.0, 20.0), (mps, 0.0, 0.0))
+    await sky.monitor.evaluate()
+    actors = list(sky.fleet.vehicles.values())
+    for force in (False, True):
+        where = {"lat_deg": 43.7816, "lon_deg": -79.4653, "height_m": 20.0, "force": force}
+        staying = sky.fleet.orders._going(actors, where)[1]
+        assert bool(staying) is (refused and not force), staying
+        assert all("before it has turned" in why for why in staying.values()), staying
+    sky.fleet.close()
+
+
 @pytest.mark.parametrize(("beside_m", "meets"), [(60.0, True), (100.0, False)])
 async def test_the_mission_of_a_quadplane_circles_though_it_stands_in_a_mode_of_its_rotors(
     beside_m: float, meets: bool
