@@ -15,7 +15,7 @@ from skygcs.config.vehicle_tables import MonitorConfig
 from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
-from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
+from skygcs.core.monitor.departures import STANDS_MPS, UNKNOWN, Returning, known_return_height
 from skygcs.core.monitor.mission_ways import (
     MissionBox,
     MissionOf,
@@ -683,7 +683,7 @@ class SeparationMonitor:
     def _goes_on(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
         """The space, if it has any, of a vehicle that flies otherwise than where it was sent: all of its mission, or as
         far as it flies on before it stands, as it may stop at any time."""
-        if track.parked or track.lost:
+        if track.parked or track.lost or self._stands(actor, track.reported_mps):
             return []
         if (way := self._flown_mission(actor, frame)) is not None:
             return [way]
@@ -751,8 +751,15 @@ class SeparationMonitor:
     def soon_mps(self, vehicle: Vehicle, at: float, velocity_mps: Sequence[float]) -> Vector:
         """The velocity of a vehicle, reported at that time, when an order makes it turn."""
         east, north, up = velocity_mps
+        actor = self._actors.get(vehicle.key)
+        if actor is not None and self._stands(actor, velocity_mps):
+            return east, north, up
         track = self.monitor.tracks.tracks.get(vehicle.key)
         return soon_mps(() if track is None else track.history, Sample(at, (east, north, up)))
+
+    def _stands(self, actor: VehicleActor, velocity_mps: Sequence[float]) -> bool:
+        """True if it hovers and was sent nowhere: noise and gusts change its velocity, and nothing comes of that."""
+        return math.hypot(*velocity_mps) < STANDS_MPS and self.why_leaving(actor) is None
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
