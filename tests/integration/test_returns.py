@@ -77,6 +77,26 @@ async def test_one_does_not_stop_before_another_that_follows_it(tmp_path: Path, 
         assert gcs.place("v1")[0] == pytest.approx(x, abs=2.0)
 
 
+async def test_one_before_another_that_flies_on_flies_on_too_and_is_given_up_if_it_is_not_heard(tmp_path: Path) -> None:
+    """It held at once, as both were to hold, and v2 came as near as 1.7 m. What was not heard waited for good."""
+    async with aloft(tmp_path, px4=3) as gcs:
+        x, y, up = gcs.place("v1")
+        await gcs.done("vehicles.goto", targets="v1,v2", enu_m=[x - 57.5, y, up])
+        await gcs.until(lambda: gcs.place("v1")[0] < x - 15.0, 20.0)
+        await gcs.done("vehicles.goto", targets="v3", enu_m=[gcs.place("v2")[0], y, up], force=True)
+        since = gcs.now
+        outcomes = (await gcs("vehicles.rtl", targets="v1,v2"))["outcomes"]
+        assert [o["message"].split(" fl")[1] for o in outcomes.values()] == ["ies on while v2", "ies on while v3"]
+        gcs.muted.add(1)
+        await asyncio.sleep(0.6)
+        assert not gcs.commands(since, "v1")
+        await gcs.until(lambda: any("it is not heard: it flies on" in t.text for t in gcs.told), 200.0)
+        gcs.muted.clear()
+        await asyncio.sleep(20.0)
+        assert not gcs.commands(since, "v1"), "nobody has ordered that now"
+        assert least_distance(gcs, since)[0] > MARGIN_M
+
+
 @pytest.mark.deep
 async def test_the_watchdog_brings_them_home_the_same_way(tmp_path: Path) -> None:
     settings = {"operator_timeout_s": 20.0, "operator_lost": "rtl"}

@@ -524,6 +524,10 @@ class FleetOrders:
             except RefusedError:
                 continue  # the order itself says why
             places[actor] = (to.lat_deg, to.lon_deg, to.alt_amsl_m)
+        if not (arguments.get("force") or apart):
+            unlike = self._monitor.unlike_refusals([actor.vehicle for actor in places])
+            staying |= {actor: unlike[actor.vehicle.key] for actor in places if actor.vehicle.key in unlike}
+            places = {actor: place for actor, place in places.items() if actor not in staying}
         # each that stays is one more in the way of those that go
         stayed: frozenset[int] | None = None
         while not arguments.get("force") and (stayed is None or stayed):

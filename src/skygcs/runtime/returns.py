@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal
@@ -131,6 +131,11 @@ class Waiting:
     def holds_first(self) -> bool:
         return self.step is not Step.LEAVES
 
+    @property
+    def stays(self) -> str:
+        """Text of what it does while it does not return."""
+        return "it flies on where it was sent" if self.step is Step.GOES_ON else "it holds"
+
 
 class Returns:
     """Returns under way of one fleet: `begin`, `carry_out` and `run` with each order to return. ``vehicles``: all of
@@ -201,6 +206,8 @@ class Returns:
             return {}
         # those of an older order to return go on as before if this one fails
         begun: dict[VehicleActor, Waiting] = {}
+        holding = [actor for actor in free if actor.vehicle.key in decided.waits_for]
+        followed = await self._followed(holding)
         for actor in free:
             key = actor.vehicle.key
             if key not in decided.leave and key not in decided.waits_for:
@@ -210,8 +217,8 @@ class Returns:
             if alone is not None:
                 waits.hint = f"; ordered again (skygcs-cli rtl {actor.name}), it returns at once"
             older = self._waiting.get(key)
-            if step is Step.HOLDS and (behind := self._flies_behind(actor, decided.waits_for)):
-                waits.step, waits.behind = Step.GOES_ON, behind
+            if step is Step.HOLDS and key in followed:
+                waits.step, waits.behind = Step.GOES_ON, followed[key]
             if older is not None and older.actor is actor and older.has_waited:
                 waits.asked_at = older.asked_at
                 waits.has_waited, waits.order_number = True, older.order_number
@@ -268,7 +275,7 @@ class Returns:
     def _let_go(self, why: str) -> None:
         for waits in self._waiting.values():
             waits.over = f"cancelled: {why}"
-            text = f"{why}: it goes on holding and does not return"
+            text = f"{why}: {waits.stays} and does not return"
             if not waits.begun:
                 text = waits.over
             elif waits.step is Step.LEAVES:
@@ -312,16 +319,30 @@ class Returns:
         self._members.leaves_now(actor)
         return await self._return_now(waits)
 
-    def _flies_behind(self, actor: VehicleActor, held: Collection[int]) -> list[str]:
-        """Names of those that fly to where this one would come to rest now, as those that were sent somewhere together
-        do; empty, too, if it does not fly anywhere. ``held``: keys of those that hold with it."""
-        frame = self._members.frame
-        one = self._members.returning(actor, self._loop.time())
-        if one is None or frame is None or self._monitor.why_leaving(actor) is None:
-            return []
-        rest, ways = one.place(), self._monitor.present_ways(frame, {*held, one.key})
-        come = (way for way, _ in ways if leads_on(way) and too_near(rest, way) and not too_near(rest, beginning(way)))
-        return [way.name for way in come]
+    async def _followed(self, holding: Sequence[VehicleActor]) -> dict[int, list[str]]:
+        """Which of these, that are to hold together, fly somewhere and are followed, by key: the names of those that
+        fly to where each would come to rest now, as those that were sent somewhere together do. One of them that is
+        followed flies on, and may follow another one. In turns with others."""
+        frame, now = self._members.frame, self._loop.time()
+        flying = (actor for actor in holding if self._monitor.why_leaving(actor) is not None)
+        rests = [one.place() for actor in flying if (one := self._members.returning(actor, now)) is not None]
+        if frame is None or not rests:
+            return {}
+        ways = list[Way]()
+        for n, (way, _) in enumerate(self._monitor.present_ways(frame, ())):
+            ways += [way] if leads_on(way) else []
+            if n % AT_A_TURN == AT_A_TURN - 1:
+                await asyncio.sleep(0)
+        come = dict[int, list[Way]]()
+        for rest in rests:
+            others = (way for way in ways if way.key != rest.key and too_near(rest, way))
+            come[rest.key] = [way for way in others if not too_near(rest, beginning(way))]
+            await asyncio.sleep(0)
+        found, held = dict[int, list[str]](), {actor.vehicle.key for actor in holding}
+        while more := [key for key in come.keys() - found.keys() if any(way.key not in held for way in come[key])]:
+            held.difference_update(more)
+            found |= {key: list(dict.fromkeys(way.name for way in come[key] if way.key not in held)) for key in more}
+        return found
 
     def _go_on(self, waits: Waiting) -> Outcome:
         """It flies on where it was sent, and holds later (`_hold_later`)."""
@@ -337,14 +358,15 @@ class Returns:
         self._report(actor, text)
         return Outcome(True, "accepted", text, order_number=waits.order_number)
 
-    def _hold_those_that_may(self) -> None:
+    async def _hold_those_that_may(self) -> None:
         """Hold those that flew on, once nobody flies to where they stop."""
         now = self._loop.time()
         going = [waits for waits in self._waiting.values() if waits.step is Step.GOES_ON and waits.begun]
+        going = [waits for waits in going if self._is_ours(waits)]
+        followed = await self._followed([waits.actor for waits in going])
         for waits in going:
-            if not self._is_ours(waits):
-                continue
-            if now - waits.asked_at > GOES_ON_S or not self._flies_behind(waits.actor, ()):
+            late = now - waits.asked_at > GOES_ON_S
+            if (late or waits.actor.vehicle.key not in followed) and self._is_current(waits):
                 waits.step = Step.HOLDS
                 self._tasks.start(self._hold_later(waits), f"hold of {waits.actor.name}", waits.serial)
 
@@ -354,8 +376,15 @@ class Returns:
             waits.step = Step.GOES_ON
             return
         outcome = await waits.actor.hold(spares=COMING_HOME)
-        if self._is_current(waits):
-            self._ordered(waits, outcome)
+        if not self._is_current(waits):
+            return
+        self._ordered(waits, outcome)
+        if outcome.ok:
+            waits.goal_m = None
+        elif outcome.result != "cancelled" and self._is_ours(waits):  # it cannot hold
+            waits.step = Step.LEAVES
+            self._members.leaves_now(waits.actor)
+            await self._leave(waits)
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
         """Drop a vehicle that was to wait but goes home by itself; returns its outcome."""
@@ -405,7 +434,7 @@ class Returns:
                 self._report(actor, "it holds at the end of its return: those that wait fly home above it, if at all")
             waiting = [waits for waits in self._waiting.values() if waits.step is Step.WAITS]
             ready = [waits.actor for waits in waiting if self._is_ours(waits)]
-            self._hold_those_that_may()
+            await self._hold_those_that_may()
             self._carry_out(await self._decide(ready))
         if not self._moves() and self._members.is_read():
             self._give_up([(waits, waits.told) for waits in self._waiting.values()])
@@ -631,7 +660,9 @@ class Returns:
         """The ways of these do not become clear: what is left is a person's decision, or a landing where they are."""
         for waits, names in stuck:
             actor, heard = waits.actor, waits.actor.vehicle.connected
-            if waits.step is not Step.WAITS or (heard and not self._is_ours(waits)):
+            if waits.step is Step.GOES_ON and heard:
+                continue  # it holds after `GOES_ON_S`
+            if waits.step not in (Step.WAITS, Step.GOES_ON) or (heard and not self._is_ours(waits)):
                 continue
             text = self._why_given_up(names) if heard else "it is not heard"
             self._drop(waits, None)
@@ -646,7 +677,7 @@ class Returns:
                 self._report(actor, text, given_up=True)
             else:
                 todo = f"send it home in spite of that (skygcs-cli rtl {actor.name}), elsewhere, or land it"
-                self._report(actor, f"{text}: it holds and does not return; {todo}", given_up=True)
+                self._report(actor, f"{text}: {waits.stays} and does not return; {todo}", given_up=True)
 
     def _why_given_up(self, names: Sequence[str]) -> str:
         staying = self._members.names(self._members.staying)

@@ -15,7 +15,7 @@ from skygcs.config.vehicle_tables import MonitorConfig
 from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
 from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
-from skygcs.core.monitor.departures import UNKNOWN, Returning, known_return_height
+from skygcs.core.monitor.departures import STANDS_MPS, UNKNOWN, Returning, known_return_height
 from skygcs.core.monitor.mission_ways import (
     MissionBox,
     MissionOf,
@@ -69,6 +69,7 @@ from skygcs.core.monitor.ways import (
     distance_m,
     find_way_conflicts,
     joined,
+    needed_m,
     sloped,
     standing,
     too_near,
@@ -101,6 +102,9 @@ ARRIVED_M = 2.0
 
 BEGINS_S = 1.0
 """From the check of an order to its entry in the vehicle's ledger, at most: it is sent at once."""
+
+ALIKE_MPS = 1.5
+"""Two whose velocities differ by less fly alike: it comes of noise and gusts, and is braked within 1.5 m."""
 
 HOME_OR_DOWN = {"rtl": False, "land": True, "stop": True}
 """Orders after which a vehicle flies home, or comes down where it is (True)."""
@@ -149,8 +153,9 @@ class SeparationMonitor:
         self._tasks = TaskSet(loop, on_event)
         self._destinations: dict[int, Destination] = {}
         self._serials = itertools.count()
-        self._beginning: dict[int, tuple[MissionRun, float]] = {}
-        """By key, the mission that a vehicle is being ordered to fly, and when that was checked."""
+        self._beginning: dict[int, tuple[MissionRun, float, int]] = {}
+        """By key, the mission that a vehicle is being ordered to fly, when that was checked, and the number of the
+        newest order to it by then."""
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
         self._boxes: dict[int, MissionBox] = {}
@@ -310,6 +315,30 @@ class SeparationMonitor:
         conflict = goto_conflict(mover, to, self._others(together, only=only), self._loop.time())
         return self._refusal(conflict or self._crosses(mover, to, together, only=only))
 
+    def unlike_refusals(self, vehicles: Sequence[Vehicle]) -> dict[int, str]:
+        """Which of these, that are sent somewhere together, should not be, by key, and why: before it turns, one would
+        come too near another that flies otherwise. Those that fly alike keep their distances."""
+        movers = [mover for vehicle in vehicles if (mover := self._mover(vehicle)) is not None]
+        flown = {vehicle.key: (vehicle.telemetry("position") or {}).get("vel_enu_mps", REST) for vehicle in vehicles}
+        if all(math.dist(flown[movers[0].key], flown[one.key]) <= ALIKE_MPS / 2.0 for one in movers):
+            movers.clear()  # most of them stand, or fly on side by side
+        ways = [(mover, _brakes(mover, self._frame_of(movers[0]))) for mover in movers]
+        ways.sort(key=lambda one: one[1].box)  # from west to east, so that few are compared
+        widest_m = max((needed_m(way, way) for _, way in ways), default=0.0)
+        found = dict[int, str]()
+        for n, (one, way) in enumerate(ways):
+            for other, theirs in itertools.islice(ways, n + 1, None):
+                if theirs.box[0] > way.box[1] + widest_m:
+                    break
+                unlike = math.dist(flown[one.key], flown[other.key]) > ALIKE_MPS
+                if not unlike or not too_near(way, theirs) or too_near(beginning(way), beginning(theirs)):
+                    continue
+                for mover, a, b in ((one, way, theirs), (other, theirs, way)):
+                    if mover.turns_m and mover.key not in found:
+                        text = f"{conflict_text(a, b, distance_m(a, b))}, before it has turned there"
+                        found[mover.key] = self._refusal(text) or text
+        return found
+
     def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
         """Why it should not take off to this height now."""
         mover = self._mover(vehicle)
@@ -397,14 +426,16 @@ class SeparationMonitor:
     def begin_missions(self, runs: Mapping[VehicleActor, MissionRun]) -> None:
         """These are being ordered to fly these missions: for every other order they do so until theirs has ended."""
         now = self._loop.time()
-        self._beginning |= {actor.vehicle.key: (run, now) for actor, run in runs.items()}
+        self._beginning |= {actor.vehicle.key: (run, now, actor.order_number) for actor, run in runs.items()}
 
     def _begins(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
         """The ways of a vehicle by an order that is being given to it, which its telemetry does not show yet: along a
         mission, home or down."""
         ledger, ways = actor.runner.ledger, self._begins_home(actor, track, frame)
-        run, checked_at = self._beginning.get(track.key, (None, 0.0))
-        if run is not None and not ledger.in_progress and self._loop.time() - checked_at > BEGINS_S:
+        run, checked_at, number = self._beginning.get(track.key, (None, 0.0, 0))
+        begun = ledger.number - number  # 1: the order itself is the newest
+        lately = self._loop.time() - checked_at <= BEGINS_S
+        if run is not None and not (begun <= 1 and (lately or (begun == 1 and ledger.newest_in_progress))):
             del self._beginning[track.key]
         elif run is not None and (way := self._mission_way(actor, run, frame)) is not None:
             ways.append(way)
@@ -652,14 +683,13 @@ class SeparationMonitor:
     def _goes_on(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
         """The space, if it has any, of a vehicle that flies otherwise than where it was sent: all of its mission, or as
         far as it flies on before it stands, as it may stop at any time."""
-        if track.parked or track.lost:
+        if track.parked or track.lost or self._stands(actor, track.reported_mps):
             return []
         if (way := self._flown_mission(actor, frame)) is not None:
             return [way]
-        here, velocity = frame.from_ecef(track.ecef_m), _along(track, frame)
-        points = turning_points(here, velocity, track.turns_m, here)[:2]
-        way = Way(track.key, track.name, track.footprint, sloped(points), self._ball_m(track))
-        return [way] if len(points) > 1 else []
+        legs = _braking(frame.from_ecef(track.ecef_m), _along(track, frame), track.turns_m)
+        way = Way(track.key, track.name, track.footprint, legs, self._ball_m(track))
+        return [way] if track.turns_m else []
 
     def _mission_is_far(self, actor: VehicleActor, track: Track, mover: Mover, to: Place) -> bool:
         """True if it flies a mission that is not near a straight way: most of a fleet's."""
@@ -721,8 +751,15 @@ class SeparationMonitor:
     def soon_mps(self, vehicle: Vehicle, at: float, velocity_mps: Sequence[float]) -> Vector:
         """The velocity of a vehicle, reported at that time, when an order makes it turn."""
         east, north, up = velocity_mps
+        actor = self._actors.get(vehicle.key)
+        if actor is not None and self._stands(actor, velocity_mps):
+            return east, north, up
         track = self.monitor.tracks.tracks.get(vehicle.key)
         return soon_mps(() if track is None else track.history, Sample(at, (east, north, up)))
+
+    def _stands(self, actor: VehicleActor, velocity_mps: Sequence[float]) -> bool:
+        """True if it hovers and was sent nowhere: noise and gusts change its velocity, and nothing comes of that."""
+        return math.hypot(*velocity_mps) < STANDS_MPS and self.why_leaving(actor) is None
 
     def _others(
         self, together: frozenset[int], *, sent: bool = True, only: frozenset[int] | None = None
@@ -815,3 +852,14 @@ def _ahead(here_m: Vector, track: Track) -> list[Vector]:
         return []
     x, y, z = (p + v * HORIZON_S for p, v in zip(here_m, track.reported_mps, strict=True))
     return [(x, y, z)]
+
+
+def _braking(here: Vector, velocity: Vector, on_m: float) -> tuple[Leg, ...]:
+    """From here to where what flies on by so much stands."""
+    return sloped(turning_points(here, velocity, on_m, here)[:2])
+
+
+def _brakes(mover: Mover, frame: EnuFrame) -> Way:
+    """The space of one until it turns to another place."""
+    legs = _braking(frame.from_geodetic(*mover.here), mover.velocity_mps, mover.turns_m)
+    return Way(mover.key, mover.name, mover.footprint, legs)

@@ -173,6 +173,31 @@ async def test_a_mission_does_not_lead_low_over_one_that_is_parked() -> None:
     sky.fleet.close()
 
 
+async def test_a_mission_that_is_begun_counts_for_its_own_order_only() -> None:
+    """It counted again during each later order to that vehicle, as no other one had been checked meanwhile."""
+    sky = Sky(2)
+    one, other = sky.vehicles
+    now = sky.loop.time()
+    for vehicle, north_m in ((one, 0.0), (other, 30.0)):
+        vehicle.heartbeat(now)
+        vehicle.position(now, (0.0, north_m, 50.0))
+    await sky.monitor.evaluate()
+    place, asked = EnuFrame(ORIGIN).to_geodetic(60.0, -30.0, 50.0), sky.fleet.find("v2").vehicle
+    ledger = sky.fleet.find("v1").runner.ledger
+
+    def crosses() -> bool:
+        return sky.monitor.goto_refusal(asked, place, frozenset()) is not None
+
+    assert not await mission_meets(sky, one, 100.0)
+    assert crosses(), "it is about to begin"
+    number = ledger.begins("mission", 1, ends_flight=False)
+    assert crosses(), "it begins"
+    ledger.ended(number, None)
+    ledger.begins("hold", 2, ends_flight=False)
+    assert not crosses(), "it was ordered something else"
+    sky.fleet.close()
+
+
 async def test_a_mission_keeps_two_radii_from_a_plane_that_circles_about_an_unknown_place() -> None:
     """As goto and take-off: it may be on any side of the middle of its circle."""
     sky = Sky(2)
@@ -196,6 +221,25 @@ async def test_a_plane_that_circles_where_it_was_sent_counts_there_alone() -> No
     sky.fleet.close()
 
 
+@pytest.mark.parametrize(("sent", "refused"), [(False, False), (True, True)])
+async def test_what_hovers_and_was_sent_nowhere_does_not_speed_up_by_its_noise(sent: bool, refused: bool) -> None:
+    """With 0.3 m/s of noise and 5 m apart a goto was refused in 19 of 100 cases, and a single return waited in 10."""
+    sky = Sky(2)
+    place = EnuFrame(ORIGIN).to_geodetic(0.0, 40.0, 20.0)
+    for east_mps in (-0.4, 0.4):
+        now = sky.loop.time()
+        for vehicle, x in zip(sky.vehicles, (0.0, 4.5), strict=True):
+            vehicle.heartbeat(now)
+            vehicle.position(now, (x, 0.0, 20.0), (east_mps if x == 0.0 else 0.0, 0.0, 0.0))
+        await sky.monitor.evaluate()
+        await asyncio.sleep(0.2)
+    actor = next(iter(sky.fleet.vehicles.values()))
+    if sent:
+        sky.monitor.arriving(actor, sky.monitor.sent_to(actor, EnuFrame(ORIGIN).to_geodetic(30.0, 0.0, 20.0)), ok=True)
+    assert (sky.monitor.goto_refusal(actor.vehicle, place, frozenset()) is not None) is refused
+    sky.fleet.close()
+
+
 @pytest.mark.parametrize(("east_mps", "refused"), [(3.0, False), (5.0, True)])
 async def test_a_goto_that_is_given_again_counts_no_turn_beyond_where_it_stops_anyway(
     east_mps: float, refused: bool
@@ -212,6 +256,29 @@ async def test_a_goto_that_is_given_again_counts_no_turn_beyond_where_it_stops_a
     assert sky.monitor.goto_refusal(actor.vehicle, to, frozenset()) is not None, "nobody knows where it flies"
     sky.monitor.arriving(actor, sky.monitor.sent_to(actor, to), ok=True)
     assert (sky.monitor.goto_refusal(actor.vehicle, to, frozenset()) is not None) is refused
+    sky.fleet.close()
+
+
+@pytest.mark.parametrize(
+    ("one_mps", "other_mps", "refused"), [(4.8, 0.0, True), (4.8, 4.5, False), (0.6, -0.6, False), (-4.8, 0.0, False)]
+)
+async def test_one_goto_of_several_counts_how_those_brake_that_do_not_fly_alike(
+    one_mps: float, other_mps: float, refused: bool
+) -> None:
+    """One at 4.8 m/s was sent elsewhere together with another 8 m before it, and flew to it first (flight 1110)."""
+    sky = Sky(2)
+    now = sky.loop.time()
+    for vehicle, x, mps in zip(sky.vehicles, (0.0, 8.0), (one_mps, other_mps), strict=True):
+        vehicle.heartbeat(now)
+        vehicle.send("HOME_POSITION", now, latitude=437806000, longitude=-794653000, altitude=180000)
+        vehicle.position(now, (x, 0.0, 20.0), (mps, 0.0, 0.0))
+    await sky.monitor.evaluate()
+    actors = list(sky.fleet.vehicles.values())
+    for force in (False, True):
+        where = {"lat_deg": 43.7816, "lon_deg": -79.4653, "height_m": 20.0, "force": force}
+        staying = sky.fleet.orders._going(actors, where)[1]
+        assert bool(staying) is (refused and not force), staying
+        assert all("before it has turned" in why for why in staying.values()), staying
     sky.fleet.close()
 
 

@@ -152,9 +152,10 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
     """With which vehicle the straight way to a place conflicts, in words; None: with none."""
     frame, others = mover_frame(mover), list(others)
     end = frame.from_geodetic(*to)
-    way = _conflict(mover, frame, _straight(end, GOTO_MPS, HORIZON_S), others, now)
-    for line in turning_lines(REST, mover.velocity_mps, mover.turns_m, end) if way is None else ():
-        way = way or _before_it_turns(_conflict(mover, frame, _through(line, HORIZON_S), others, now))
+    way = _conflict(mover, frame, [_straight(end, GOTO_MPS, HORIZON_S)], others, now)
+    if way is None and mover.turns_m:
+        turns = [_through(line, HORIZON_S) for line in turning_lines(REST, mover.velocity_mps, mover.turns_m, end)]
+        way = _before_it_turns(_conflict(mover, frame, turns, others, now))
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
     )
@@ -165,7 +166,7 @@ def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now
     sideways as it rises."""
     frame, others, end = mover_frame(mover), list(others), (0.0, 0.0, height_m)
     path = _straight(end, CLIMB_MPS, HORIZON_S)._replace(strict=True)
-    way = _conflict(mover, frame, path, others, now)
+    way = _conflict(mover, frame, [path], others, now)
     return way or circle_conflict(
         mover.name, mover.footprint, Disc(end, mover.circle_m), _holders(mover, frame, others)
     )
@@ -187,7 +188,7 @@ def setpoint_conflict(
         path = _Path((Piece(AHEAD_S, velocity_mps),), AHEAD_S, 0.0, False)
     else:
         path = _straight(frame.from_geodetic(*to), GOTO_MPS, 0.0)
-    return _conflict(mover, frame, path, others, now)
+    return _conflict(mover, frame, [path], others, now)
 
 
 def meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, float, float]]:
@@ -282,8 +283,10 @@ def _through(points: Sequence[Vector], ahead_s: float) -> _Path:
     return _Path(tuple(p for leg in legs for p in leg.pieces), sum(leg.duration_s for leg in legs), ahead_s, False)
 
 
-def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other], now: float) -> str | None:
-    length_m, corners = path.length_m, path.corners
+def _conflict(mover: Mover, frame: EnuFrame, paths: Sequence[_Path], others: Iterable[Other], now: float) -> str | None:
+    """With which vehicle one of these paths conflicts, each of which it may fly; none is left out that is near one."""
+    length_m, corners = max(path.length_m for path in paths), _corners([p for path in paths for p in path.corners])
+    longest = max(paths, key=lambda path: path.duration_s)
     here_m = ecef(*mover.here)
     worst: tuple[float, str] | None = None
     for other in others:
@@ -296,24 +299,26 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         age_s = min(silence_s, TRACK_SILENT_S)  # the space of a lost one grows no more
         radius_m = margin.total_m + track.footprint.ball_m(max(0.0, age_s - FRESH_S))
         # too far away to be reached by either of them
-        theirs_m = 0.0 if track.parked else math.hypot(*track.reported_mps) * (path.duration_s + path.ahead_s + age_s)
+        flies_s = longest.duration_s + longest.ahead_s + age_s
+        theirs_m = 0.0 if track.parked else math.hypot(*track.reported_mps) * flies_s
         away_m = math.dist(here_m, track.ecef_m)
         if away_m > length_m + theirs_m + radius_m * ratio:
             continue
-        offset, pieces, horizon_s = _their_path(frame, other, age_s, path)
+        offset, pieces, horizon_s = _their_path(frame, other, age_s, longest)
         ends = offset, _moved(offset, pieces[0].velocity_mps, horizon_s) if pieces else offset
         if are_apart(ends, corners, (radius_m, radius_m, radius_m * ratio)):
             continue
-        near = closest_on_paths(
-            scaled(offset, ratio), scaled_pieces(path.pieces, ratio), scaled_pieces(pieces, ratio), radius_m, horizon_s
-        )
-        if math.isinf(near.enters_s):
-            continue
         now_m = separation_m(*offset, ratio)
-        if not path.strict and now_m < radius_m and near.separation_m > now_m - NEARER_M:
-            continue
-        if worst is None or near.separation_m < worst[0]:
-            worst = (near.separation_m, _text(mover, other, near.separation_m, radius_m, silence_s))
+        for path in paths:
+            _, pieces, horizon_s = _their_path(frame, other, age_s, path)
+            mine, theirs = scaled_pieces(path.pieces, ratio), scaled_pieces(pieces, ratio)
+            near = closest_on_paths(scaled(offset, ratio), mine, theirs, radius_m, horizon_s)
+            if math.isinf(near.enters_s):
+                continue
+            if not path.strict and now_m < radius_m and near.separation_m > now_m - NEARER_M:
+                continue
+            if worst is None or near.separation_m < worst[0]:
+                worst = (near.separation_m, _text(mover, other, near.separation_m, radius_m, silence_s))
     return None if worst is None else worst[1]
 
 
