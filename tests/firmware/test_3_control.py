@@ -71,11 +71,6 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
 def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | None:
     """Why the guard did not fly it in this mode to the end; None if it did."""
     since = time.monotonic()
-
-    def fell_back() -> str | None:
-        reports = [e["text"] for e in air.watcher.events_since(since, "control", vehicle=air.one)]
-        return next((text for text in reports if text.startswith(("flown by", "holding")) and "limit" in text), None)
-
     air.order("control.set", air.one, mode=mode, force=True)
     air.daemon.call("control.record", targets=air.one, on=True)
     try:
@@ -89,7 +84,7 @@ def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | Non
                 far = max(far, air.enu(air.one)[0] - RADIUS_M)
                 assert time.monotonic() - began < 40, f"the step never settles; {air.summary()}"
                 time.sleep(0.05)
-        if (why := fell_back()) is not None:
+        if (why := air.fell_back(since)) is not None:
             return why
         assert not stream.refused, stream.refused[:2]
         figures["step settles s"] = time.monotonic() - began
@@ -97,7 +92,7 @@ def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | Non
         with Stream(air.daemon.socket, air.one, circle, RATE_HZ) as stream:
             time.sleep(CIRCLE_S)
             status = air.control(air.one)
-        if (why := fell_back()) is not None:
+        if (why := air.fell_back(since)) is not None:
             return why
         assert not stream.refused, stream.refused[:2]
         assert status["control_mode"] == mode, status
