@@ -138,15 +138,16 @@ def test_one_client_leads_it_until_another_insists(air: Field, figures: dict[str
         away = {"vel_enu_mps": [-1.0, 0.0, 0.0]}  # from the second vehicle
         with Stream(air.daemon.socket, air.one, lambda t: north, RATE_HZ) as second:
             time.sleep(2)
-            figures["the first's m/s"] = led = flown(3)
+            figures["the first's m/s"] = led = flown(6)
             assert second.sent and len(second.refused) == len(second.sent) and not first.refused, first.refused[:1]
             north = north | {"take_over": True}
             time.sleep(2)
-            figures["the second's m/s"] = taken = flown(3)
+            figures["the second's m/s"] = taken = flown(6)
             refused = [answer["result"]["outcomes"][air.one] for answer in first.refused]
             assert refused and all(outcome["taken"] for outcome in refused), refused[:1]
         figures["standing s"] = air.wait(lambda: air.truth(air.one).speed_mps < 0.4, 15, "it stands")
         air.holds(lambda: air.truth(air.one).speed_mps < 0.8, 2, "the first leads again although it lost the vehicle")
         refusals = len(second.refused), len(first.refused)
         figures["refused"] = f"{refusals[0]} of the second, then {refusals[1]} of the first"
-    assert led[0] < -0.5 and abs(led[1]) < 0.4 and taken[1] > 0.5 and abs(taken[0]) < 0.4, (led, taken)
+    # of 1 m/s; a busy computer slows a simulator down, and the position of PX4's wanders
+    assert led[0] < -0.3 and abs(led[1]) < 0.3 and taken[1] > 0.3 and abs(taken[0]) < 0.3, (led, taken)
