@@ -71,11 +71,6 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
 def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | None:
     """Why the guard did not fly it in this mode to the end; None if it did."""
     since = time.monotonic()
-
-    def fell_back() -> str | None:
-        reports = [e["text"] for e in air.watcher.events_since(since, "control", vehicle=air.one)]
-        return next((text for text in reports if text.startswith(("flown by", "holding")) and "limit" in text), None)
-
     air.order("control.set", air.one, mode=mode, force=True)
     air.daemon.call("control.record", targets=air.one, on=True)
     try:
@@ -89,7 +84,7 @@ def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | Non
                 far = max(far, air.enu(air.one)[0] - RADIUS_M)
                 assert time.monotonic() - began < 40, f"the step never settles; {air.summary()}"
                 time.sleep(0.05)
-        if (why := fell_back()) is not None:
+        if (why := air.fell_back(since)) is not None:
             return why
         assert not stream.refused, stream.refused[:2]
         figures["step settles s"] = time.monotonic() - began
@@ -97,7 +92,7 @@ def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | Non
         with Stream(air.daemon.socket, air.one, circle, RATE_HZ) as stream:
             time.sleep(CIRCLE_S)
             status = air.control(air.one)
-        if (why := fell_back()) is not None:
+        if (why := air.fell_back(since)) is not None:
             return why
         assert not stream.refused, stream.refused[:2]
         assert status["control_mode"] == mode, status
@@ -143,15 +138,16 @@ def test_one_client_leads_it_until_another_insists(air: Field, figures: dict[str
         away = {"vel_enu_mps": [-1.0, 0.0, 0.0]}  # from the second vehicle
         with Stream(air.daemon.socket, air.one, lambda t: north, RATE_HZ) as second:
             time.sleep(2)
-            figures["the first's m/s"] = led = flown(3)
+            figures["the first's m/s"] = led = flown(6)
             assert second.sent and len(second.refused) == len(second.sent) and not first.refused, first.refused[:1]
             north = north | {"take_over": True}
             time.sleep(2)
-            figures["the second's m/s"] = taken = flown(3)
+            figures["the second's m/s"] = taken = flown(6)
             refused = [answer["result"]["outcomes"][air.one] for answer in first.refused]
             assert refused and all(outcome["taken"] for outcome in refused), refused[:1]
         figures["standing s"] = air.wait(lambda: air.truth(air.one).speed_mps < 0.4, 15, "it stands")
         air.holds(lambda: air.truth(air.one).speed_mps < 0.8, 2, "the first leads again although it lost the vehicle")
         refusals = len(second.refused), len(first.refused)
         figures["refused"] = f"{refusals[0]} of the second, then {refusals[1]} of the first"
-    assert led[0] < -0.5 and abs(led[1]) < 0.4 and taken[1] > 0.5 and abs(taken[0]) < 0.4, (led, taken)
+    # of 1 m/s; a busy computer slows a simulator down, and the position of PX4's wanders
+    assert led[0] < -0.3 and abs(led[1]) < 0.3 and taken[1] > 0.3 and abs(taken[0]) < 0.3, (led, taken)

@@ -177,14 +177,16 @@ def test_attitude_begins_in_wind_without_a_bump(air: Field, figures: dict[str, A
         time.sleep(25)
         air.wait(lambda: air.steady(air.one, 3.0), 30, "it stands in the wind")
         place, most, climbed = air.enu(air.one), 0.0, 0.0
+        began = time.monotonic()
         air.order("control.set", air.one, mode="attitude", force=True)
-        end = time.monotonic() + 12
-        while time.monotonic() < end:
+        while time.monotonic() < began + 12:
             x, y, up = air.enu(air.one)
             most, climbed = max(most, math.dist((x, y), place[:2])), max(climbed, abs(up - place[2]))
             time.sleep(0.02)
         figures["moved m"], figures["height m"] = most, climbed
         figures["integral"] = air.control(air.one)["integral_enu"]
+        if (why := air.fell_back(began)) is not None:
+            pytest.skip(f"this computer is too busy for it: {why}")
         assert air.control(air.one)["control_mode"] == "attitude"
         assert most < 0.4 and climbed < 0.4  # its estimator and its gusts have a part in it
     finally:
@@ -240,7 +242,10 @@ def test_setpoints_beyond_the_fence(air: Field, figures: dict[str, Any]) -> None
         figures["farthest north m"] = far
         figures["refused setpoints"] = len(stream.refused)
         figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "control", vehicle=air.one)]
-        assert 15 < far < 45  # the fence is at 30; from 4 m/s it brakes beyond it
+        assert far < 45  # the fence is at 30; from 4 m/s it brakes beyond it
+        if (why := air.fell_back(began)) is not None:  # then its velocity has ended early
+            pytest.skip(f"this computer is too busy for it: {why}")
+        assert far > 15
     air.order("vehicles.goto", air.one, enu_m=[0, 0, HEIGHT_M])
 
 

@@ -316,6 +316,12 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         status: list[dict[str, Any]] = self.daemon.call("control.status", targets=name)
         return status[0]
 
+    def fell_back(self, since: float) -> str | None:
+        """Why the guard has not flown the first vehicle in the mode that was ordered since then; None: it has. Unless
+        the test itself asks for that, the computer is too busy."""
+        reports = [e["text"] for e in self.watcher.events_since(since, "control", vehicle=self.one)]
+        return next((text for text in reports if text.startswith(("flown by", "holding")) and "limit" in text), None)
+
     def enu(self, name: str) -> tuple[float, float, float]:
         """Where the vehicle says it is, about `HOME`, from its own frames."""
         truth = self.truth(name)
