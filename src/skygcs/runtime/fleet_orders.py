@@ -29,10 +29,11 @@ from skygcs.runtime.command_client import BroadcastCommand
 from skygcs.runtime.components import ComponentActor
 from skygcs.runtime.return_members import read_return_height
 from skygcs.runtime.returns import Returns, Waiting
-from skygcs.runtime.separation_monitor import Destination, SeparationMonitor
+from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import ASKED_NOW, ORDER_SERIAL, Asked, TaskSet, ask
 from skygcs.runtime.vehicle_actor import SHUTDOWN, VehicleActor
 from skygcs.runtime.vehicle_services import VehicleServices
+from skygcs.runtime.vehicle_ways import Destination
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
 """An order is the method of VehicleActor that carries it out, `VehicleActor.arm`, or a function of
@@ -334,7 +335,7 @@ class FleetOrders:
         for actor in vehicles if order is VehicleActor.takeoff else ():
             height_m = arguments.get("height_m")
             height_m = actor.config.takeoff_height_m if height_m is None else height_m
-            if actor not in refusals and (up := self._monitor.sent_up(actor, height_m)) is not None:
+            if actor not in refusals and (up := self._monitor.ways.sent_up(actor, height_m)) is not None:
                 sent[actor] = up
         return Decided(refusals, own_arguments, sent, returning)
 
@@ -387,7 +388,7 @@ class FleetOrders:
         """The order to one vehicle has ended, whatever the others of it still do. ``task``: None: it was not sent."""
         if isinstance(actor, VehicleActor) and (sent := decided.sent.get(actor)) is not None:
             outcome = _outcome(task)
-            self._monitor.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
+            self._monitor.ways.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
 
     async def _guarded(
         self,
@@ -432,7 +433,7 @@ class FleetOrders:
                 starting[actor] = first
         others = [a for a in self._targets.vehicles.values() if a not in starting and is_flying(a.vehicle, now)]
         alone = {a: MissionRun(a.missions.items, first) for a, first in starting.items() if a.missions.items}
-        self._monitor.begin_missions(alone)
+        self._monitor.ways.begin_missions(alone)
         if arguments.get("force") or self._monitor.mode == "off" or not starting:
             return {}
         if len(starting) + len(others) < 2:  # one alone may only land on one that stands: nothing is read for that
@@ -537,7 +538,7 @@ class FleetOrders:
             staying |= stays
             places = {actor: place for actor, place in places.items() if actor not in stays}
             stayed = frozenset(actor.vehicle.key for actor in stays)
-        sent = {actor: self._monitor.sent_to(actor, place) for actor, place in places.items()}
+        sent = {actor: self._monitor.ways.sent_to(actor, place) for actor, place in places.items()}
         return own_arguments, staying, sent
 
     def _formation(

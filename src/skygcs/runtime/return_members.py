@@ -201,9 +201,9 @@ class ReturnMembers:
         one = Returning(
             vehicle.key,
             vehicle.name,
-            self._monitor.footprint(actor),
+            self._monitor.ways.footprint(actor),
             self.frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]),
-            self._monitor.soon_mps(vehicle, at, position["vel_enu_mps"]),
+            self._monitor.ways.soon_mps(vehicle, at, position["vel_enu_mps"]),
             home_m,
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
@@ -224,7 +224,7 @@ class ReturnMembers:
         others = [self.returning(other, now) for other in self.actors() if other is not actor]
         ways = [other.place() for other in others if other is not None]
         if self.frame is not None:
-            ways += [way for way, _ in self._monitor.present_ways(self.frame, self.keys(), parked=True)]
+            ways += [way for way, _ in self._monitor.ways.present_ways(self.frame, self.keys(), parked=True)]
         return [way.name for way in ways if too_near(down, way)]
 
 

@@ -324,12 +324,12 @@ class Returns:
         fly to where each would come to rest now, as those that were sent somewhere together do. One of them that is
         followed flies on, and may follow another one. In turns with others."""
         frame, now = self._members.frame, self._loop.time()
-        flying = (actor for actor in holding if self._monitor.why_leaving(actor) is not None)
+        flying = (actor for actor in holding if self._monitor.ways.why_leaving(actor) is not None)
         rests = [one.place() for actor in flying if (one := self._members.returning(actor, now)) is not None]
         if frame is None or not rests:
             return {}
         ways = list[Way]()
-        for n, (way, _) in enumerate(self._monitor.present_ways(frame, ())):
+        for n, (way, _) in enumerate(self._monitor.ways.present_ways(frame, ())):
             ways += [way] if leads_on(way) else []
             if n % AT_A_TURN == AT_A_TURN - 1:
                 await asyncio.sleep(0)
@@ -551,7 +551,7 @@ class Returns:
         # those that are not ordered to return
         stays, moving = set(self._members.staying), set[str]()
         frame = frame_at(free[0].vehicle) if self._members.frame is None and free else self._members.frame
-        present = () if frame is None else self._monitor.present_ways(frame, self._members.keys() - going)
+        present = () if frame is None else self._monitor.ways.present_ways(frame, self._members.keys() - going)
         for n, (way, still) in enumerate(present):
             if n % AT_A_TURN == AT_A_TURN - 1:
                 await asyncio.sleep(0)
@@ -622,13 +622,13 @@ class Returns:
         height_m = alt_amsl_m - (0.0 if home_amsl_m is None else home_amsl_m)
         where: Where = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "force": True}
         limit_m = actor.config.goto_limit_m
-        sent, outcome = self._monitor.sent_to(actor, (lat_deg, lon_deg, alt_amsl_m)), Outcome.refused("it ended")
+        sent, outcome = self._monitor.ways.sent_to(actor, (lat_deg, lon_deg, alt_amsl_m)), Outcome.refused("it ended")
         try:
             outcome = await actor.runner.run(
                 "goto", lambda now: replace(goto(actor.vehicle, now, limit_m=limit_m, **where), spares=COMING_HOME)
             )
         finally:
-            self._monitor.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
+            self._monitor.ways.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
         waits.goal_m = goal_m if outcome.ok else None
         self._ordered(waits, outcome)
 

@@ -215,7 +215,9 @@ async def test_a_plane_that_circles_where_it_was_sent_counts_there_alone() -> No
     await seen(sky, mode=15, vel_enu_mps=(0.0, 12.0, 0.0))
     actor = sky.fleet.vehicles[plane.vehicle.key]
     circle_m = actor.vehicle.hold_reach_m(sky.loop.time())
-    sky.monitor.arriving(actor, sky.monitor.sent_to(actor, frame.to_geodetic(circle_m - 5.0, 0.0, 50.0)), ok=True)
+    sky.monitor.ways.arriving(
+        actor, sky.monitor.ways.sent_to(actor, frame.to_geodetic(circle_m - 5.0, 0.0, 50.0)), ok=True
+    )
     place = frame.to_geodetic(-70.0, 0.0, 50.0)
     assert sky.monitor.goto_refusal(sky.fleet.vehicles[copter.vehicle.key].vehicle, place, frozenset()) is None
     sky.fleet.close()
@@ -235,7 +237,9 @@ async def test_what_hovers_and_was_sent_nowhere_does_not_speed_up_by_its_noise(s
         await asyncio.sleep(0.2)
     actor = next(iter(sky.fleet.vehicles.values()))
     if sent:
-        sky.monitor.arriving(actor, sky.monitor.sent_to(actor, EnuFrame(ORIGIN).to_geodetic(30.0, 0.0, 20.0)), ok=True)
+        sky.monitor.ways.arriving(
+            actor, sky.monitor.ways.sent_to(actor, EnuFrame(ORIGIN).to_geodetic(30.0, 0.0, 20.0)), ok=True
+        )
     assert (sky.monitor.goto_refusal(actor.vehicle, place, frozenset()) is not None) is refused
     sky.fleet.close()
 
@@ -254,7 +258,7 @@ async def test_a_goto_that_is_given_again_counts_no_turn_beyond_where_it_stops_a
     await sky.monitor.evaluate()
     actor, to = sky.fleet.vehicles[one.vehicle.key], frame.to_geodetic(*place)
     assert sky.monitor.goto_refusal(actor.vehicle, to, frozenset()) is not None, "nobody knows where it flies"
-    sky.monitor.arriving(actor, sky.monitor.sent_to(actor, to), ok=True)
+    sky.monitor.ways.arriving(actor, sky.monitor.ways.sent_to(actor, to), ok=True)
     assert (sky.monitor.goto_refusal(actor.vehicle, to, frozenset()) is not None) is refused
     sky.fleet.close()
 
@@ -320,10 +324,10 @@ async def test_of_a_fleet_that_takes_off_only_the_ways_nearby_are_made(monkeypat
         vehicle.position(now, (5.0 * (n % 10), 5.0 * (n // 10), 20.0))
     await sky.monitor.evaluate()
     for n, actor in enumerate(sky.fleet.vehicles.values()):
-        sky.monitor.sent_to(actor, frame.to_geodetic(5.0 * (n % 10), 5.0 * (n // 10), 40.0))
-    real = sky.monitor._present_way
+        sky.monitor.ways.sent_to(actor, frame.to_geodetic(5.0 * (n % 10), 5.0 * (n // 10), 40.0))
+    real = sky.monitor.ways._present_way
     monkeypatch.setattr(
-        sky.monitor, "_present_way", lambda actor, *a, **k: made.append(actor.name) or real(actor, *a, **k)
+        sky.monitor.ways, "_present_way", lambda actor, *a, **k: made.append(actor.name) or real(actor, *a, **k)
     )
     vehicle = sky.fleet.find("v1").vehicle
     assert sky.monitor.goto_refusal(vehicle, frame.to_geodetic(0.0, 0.0, 40.0), frozenset()) is None and made == []

@@ -15,7 +15,6 @@ import math
 from dataclasses import dataclass, fields
 
 from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
-from skygcs.core.control.record import record
 from skygcs.core.control.velocity_loop import (
     Horizontal,
     Vertical,
@@ -26,6 +25,7 @@ from skygcs.core.control.velocity_loop import (
     grown_xy,
     horizontal,
     newest_weight,
+    record,
     vertical,
     within,
 )

@@ -39,7 +39,7 @@ from typing import Literal, NamedTuple
 
 from skygcs.core.control.cascade import LARGEST_INPUT, Estimate
 from skygcs.core.control.gains import out_of_range
-from skygcs.core.control.record import record
+from skygcs.core.control.velocity_loop import record
 from skygcs.errors import ConfigError
 
 Action = Literal["send", "hold", "release"]

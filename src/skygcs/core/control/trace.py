@@ -22,7 +22,6 @@ from typing import Any, TypeVar
 
 from skygcs.core.control.cascade import LARGEST_INPUT, Estimate, Memory, Vector, step, velocity_step
 from skygcs.core.control.gains import AxisGains, ControlConfig
-from skygcs.core.control.record import record
 from skygcs.core.control.trace_row import (
     ATTITUDE,
     COLUMNS,
@@ -37,6 +36,7 @@ from skygcs.core.control.trace_row import (
     decode_row,
     encode,
 )
+from skygcs.core.control.velocity_loop import record
 from skygcs.core.control.velocity_predictor import (
     AutopilotLoop,
     PredictorMemory,

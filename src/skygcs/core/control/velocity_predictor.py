@@ -48,8 +48,7 @@ from itertools import pairwise
 
 from skygcs.core.control.cascade import LARGEST_INPUT, ZERO, Estimate, Reference, Vector, velocity_setpoint
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.record import record
-from skygcs.core.control.velocity_loop import clip, within
+from skygcs.core.control.velocity_loop import clip, record, within
 
 # --- prediction -------------------------------------------------------------------------------------------------------
 

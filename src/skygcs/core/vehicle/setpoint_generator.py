@@ -26,9 +26,8 @@ from skygcs.core.control.cascade import Estimate, Memory, Output, Quaternion, Re
 from skygcs.core.control.drag_estimate import DragObserver
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
-from skygcs.core.control.record import record
 from skygcs.core.control.trace import PredictionStep, TraceRow
-from skygcs.core.control.velocity_loop import clip
+from skygcs.core.control.velocity_loop import clip, record
 from skygcs.core.control.velocity_predictor import (
     PX4_LOOP,
     AutopilotLoop,

@@ -190,7 +190,9 @@ async def _arranged(
     found = [fresh_position(actor.vehicle, now) for actor in actors]
     places = [None if place is None else place[:2] for place in found]
     try:
-        plans = await in_turns(arranging(plan, arrangement, places, [monitor.footprint(actor) for actor in actors]))
+        plans = await in_turns(
+            arranging(plan, arrangement, places, [monitor.ways.footprint(actor) for actor in actors])
+        )
     except ValueError as error:
         return {}, dict.fromkeys(actors, str(error))
     own: Own = {actor: {"plan": one} for actor, one in zip(actors, plans, strict=True)}

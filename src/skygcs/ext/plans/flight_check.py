@@ -222,7 +222,9 @@ class FlightCheck:
             findings += await preflight_findings(actors, standing)
             checked.heights = await return_heights(actors)
         # the places as they are now, after the questions
-        measured = measure(actors, self._fleet.everybody(), frame, self._loop.time(), self._fleet.monitor.why_leaving)
+        measured = measure(
+            actors, self._fleet.everybody(), frame, self._loop.time(), self._fleet.monitor.ways.why_leaving
+        )
         findings += measured.findings
         rule, checked.sources = self.margins(actors, request, by)
         checked.rule = rule

@@ -175,14 +175,14 @@ class GotoGuidance:
         """One order to fly to a place, to its outcome; the monitor knows of it."""
         actor = flight.actors[name]
         place = flight.frame.to_geodetic(*place_m)
-        sent = None if self._monitor is None else self._monitor.sent_to(actor, place)
+        sent = None if self._monitor is None else self._monitor.ways.sent_to(actor, place)
         ok = False
         try:
             outcome = await self._ours(name, actor, actor.goto(enu_m=place_m))
             ok = outcome.ok
         finally:
             if self._monitor is not None and sent is not None:
-                self._monitor.arriving(actor, sent, ok=ok)
+                self._monitor.ways.arriving(actor, sent, ok=ok)
         return outcome
 
     async def _hold(self, flight: PlanFlight, legs: GotoLegs, name: str) -> None:

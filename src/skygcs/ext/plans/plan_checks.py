@@ -99,7 +99,7 @@ def measure(
     now: float,
     why_leaving: WhyLeaving = lambda actor: None,
 ) -> Measured:
-    """The places; findings name what cannot be measured. ``why_leaving``: see `SeparationMonitor.why_leaving`."""
+    """The places; findings name what cannot be measured. ``why_leaving``: see `VehicleWays.why_leaving`."""
     places: Places = {}
     names = [actor.name for actor in actors]
     grounded: set[str] = set()

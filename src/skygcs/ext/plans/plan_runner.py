@@ -314,7 +314,7 @@ class PlanRunner:
         # the rest of the plan, and the way back to it
         actors = [flight.actors[name] for name in staying]
         departed, modes = _departed(execution, sights), {actor.name: actor.vehicle.mode for actor in actors}
-        measured = measure(actors, self._fleet.everybody(), flight.frame, now, self._fleet.monitor.why_leaving)
+        measured = measure(actors, self._fleet.everybody(), flight.frame, now, self._fleet.monitor.ways.why_leaving)
         lacking = [f"{f.vehicle}: {f.text}" for f in refusals(measured.findings, force=force)]
         if lacking or len(measured.places) < len(actors):
             return False, f"refused: {lacking[0] if lacking else 'a position is not known'}", lacking

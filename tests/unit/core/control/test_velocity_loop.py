@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 from hypothesis import given
@@ -20,6 +20,7 @@ from skygcs.core.control.velocity_loop import (
     horizontal,
     horizontal_limit,
     newest_weight,
+    record,
     vertical,
 )
 from skygcs.errors import ConfigError
@@ -241,3 +242,21 @@ def test_limits_out_of_range_are_refused(value: float) -> None:
     for key in ("acc_xy_max_mps2", "acc_z_max_mps2"):
         with pytest.raises(ConfigError, match=key):
             ControlConfig(**{key: value})
+
+
+@record
+class Point:
+    x: float
+    y: float = 2.0
+
+
+def test_a_record_is_compared_hashed_replaced_and_shown_as_a_frozen_dataclass_is() -> None:
+    point = Point(1.0)
+    assert point == Point(1.0, 2.0) and hash(point) == hash(Point(1.0, 2.0))
+    assert replace(point, y=3.0) == Point(1.0, 3.0) != point
+    assert asdict(point) == {"x": 1.0, "y": 2.0}
+    assert repr(point) == "Point(x=1.0, y=2.0)"
+
+
+def test_a_record_has_its_fields_and_nothing_else() -> None:
+    assert not hasattr(Point(1.0), "__dict__")
