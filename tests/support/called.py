@@ -36,7 +36,7 @@ async def call(
 
 
 def signing_setup_of(daemon: Daemon) -> SigningSetup:
-    """What gives vehicles their keys; its extension is made for it."""
+    """The sender of signing keys to vehicles. Makes its extension if there is none yet."""
     daemon.extensions.demand("signing")
     setup: SigningSetup = daemon.extensions["signing"].setup
     return setup

@@ -21,8 +21,8 @@ nightly run). Without it a run of the same code is the same run: what fails, fai
 that is tested. A fault that one seed in ten thousand shows stopped a change that had nothing to do with it."""
 
 SEED_OFFSET = "SKYGCS_TEST_SEED_OFFSET"
-"""Environment variable: a number, 0 by default, that is added to each seed (`shift_seeds`). A test of a network that
-loses by chance passes with any of them; whoever writes one runs it with `for SKYGCS_TEST_SEED_OFFSET in 1 2 3`."""
+"""Environment variable: a number, 0 by default, that is added to each seed (`shift_seeds`). A test of a network with
+random losses passes with any of them: run a new one with offsets 1 to 3."""
 
 SHARE = 4
 """`make test` runs one example or seed in so many."""

@@ -370,7 +370,7 @@ class FakePlanning(Extension[NoTable]):
 
 
 class FakeChecks(PreflightChecks):
-    """Preflight of the `FakeFleet`, which a test tells what is found."""
+    """Preflight of the `FakeFleet`; a test sets its findings."""
 
     async def examine(self, targets: Any, **how: Any) -> dict[str, Any]:
         fleet = cast("FakeFleet", self.core.fleet)

@@ -26,7 +26,7 @@ BLOCKED_S = 60.0
 piece of work in `make test` took less than half a second on a busy machine (none of 1,130 tests waited longer)."""
 
 IN_TURN_S = 1.0
-"""Of true time: a thread that is done waits so long for an older one, which may be waiting for it."""
+"""True time that a finished thread waits for an older one, which may be waiting for it."""
 
 BUSY_TURNS = 1000
 """Turns of a loop that always has something to run, after which the oldest thread is waited for: a task that yields
@@ -53,7 +53,7 @@ class ThreadsInTurn:
         self.pool = ThreadPoolExecutor(thread_name_prefix="asyncio")
         self._wake = wake
         self._jobs: deque[tuple[Future[Any], Future[Any]]] = deque()
-        """Of each the work and what the loop sees of it."""
+        """Each piece of work, and the future that the loop sees."""
         self._busy_turns = 0
 
     def __bool__(self) -> bool:

@@ -224,7 +224,7 @@ class SeparationMonitor:
 
     def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint, together: frozenset[int]) -> str | None:
         """Why this setpoint of a stream should not be followed. ``together``: as for `goto_refusal`."""
-        mover = self.ways.mover(vehicle)
+        mover = self.ways.unmoved(vehicle)
         if mover is None:
             return None
         place, velocity = meant(mover, setpoint)

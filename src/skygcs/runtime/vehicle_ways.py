@@ -234,21 +234,30 @@ class VehicleWays:
 
     # -- the vehicle of an order
 
-    def mover(self, vehicle: Vehicle) -> Mover | None:
-        """The vehicle of an order, where it is now; None if that is not known or nobody watches."""
+    def unmoved(self, vehicle: Vehicle) -> Mover | None:
+        """The vehicle of an order, where it is now, without its motion, which a setpoint of a stream has no use for;
+        None if that is not known or nobody watches."""
         actor = self._actors.get(vehicle.key)
         if self._off or actor is None or vehicle.ids.beside:
             return None
         now = self._loop.time()
-        here, (position, at) = fresh_position(vehicle, now), vehicle.timed_telemetry("position")
-        if here is None or position is None or at is None:
+        here = fresh_position(vehicle, now)
+        if here is None:
             return None
-        circle_m, brake_mps2 = vehicle.hold_reach_m(now), vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
-        velocity = self.soon_mps(vehicle, at, position["vel_enu_mps"]) if is_flying(vehicle, now) else REST
-        mover = Mover(vehicle.key, vehicle.name, self.footprint(actor), here, circle_m, velocity, brake_mps2)
+        return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(now))
+
+    def mover(self, vehicle: Vehicle) -> Mover | None:
+        """The same, with its motion: how it brakes and turns before it flies there."""
+        mover, (position, at) = self.unmoved(vehicle), vehicle.timed_telemetry("position")
+        if mover is None or position is None or at is None:
+            return None
+        brake_mps2 = vehicle.abilities.brake_mps2 or USUAL_BRAKE_MPS2
+        flies = is_flying(vehicle, self._loop.time())
+        velocity = self.soon_mps(vehicle, at, position["vel_enu_mps"]) if flies else REST
         before = self.destination(vehicle.key)
         way = REST if before is None else mover_frame(mover).from_geodetic(*before)
-        return replace(mover, stops_in_m=math.hypot(*way)) if arrives(velocity, way, brake_mps2) else mover
+        stops_in_m = math.hypot(*way) if arrives(velocity, way, brake_mps2) else math.inf
+        return replace(mover, velocity_mps=velocity, brake_mps2=brake_mps2, stops_in_m=stops_in_m)
 
     def soon_mps(self, vehicle: Vehicle, at: float, velocity_mps: Sequence[float]) -> Vector:
         """The velocity of a vehicle, reported at that time, when an order makes it turn."""

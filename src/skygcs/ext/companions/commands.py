@@ -343,9 +343,9 @@ def bundle(
     from skygcs.ext.companions.bring_up.bundle import ARCHITECTURES, PYTHONS, Sources, collect
 
     if arch is not None and arch not in ARCHITECTURES:
-        raise typer.BadParameter(f"--arch {arch} is none of {', '.join(ARCHITECTURES)}")
+        raise typer.BadParameter(f"--arch {arch} is unknown; known are {', '.join(ARCHITECTURES)}")
     if python not in PYTHONS:
-        raise typer.BadParameter(f"--python {python} is none of {', '.join(PYTHONS)}")
+        raise typer.BadParameter(f"--python {python} is unknown; known are {', '.join(PYTHONS)}")
 
     def command() -> int:
         made = collect(

@@ -114,7 +114,7 @@ def test_lists_and_logs_are_whole_and_exact(px4: bool, loss: float) -> None:
 def test_the_first_of_a_px4_and_the_last_of_an_ardupilot_are_asked_for(
     came: tuple[int, ...], asked: tuple[int, int]
 ) -> None:
-    """Of three logs; while neither came, it is not known whether they are numbered from 0 or from 1."""
+    """There are three logs. Until the first or the last has come, they may be numbered from 0 or from 1."""
     machine = OnboardLogList()
     machine.start(0.0)
     for number in came:
