@@ -24,8 +24,6 @@ from skygcs.errors import ConfigError
 from skygcs.extension import Extension, Extensions
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.admission_reports import AdmissionReports
-from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.components import ONBOARD_COMPUTER
 from skygcs.runtime.correction_feed import CorrectionFeed
@@ -39,6 +37,7 @@ from skygcs.runtime.loop_clock import BEAT_S
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
+from skygcs.runtime.radios import Radios
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
@@ -96,7 +95,6 @@ class Daemon:
         self.hub = Hub(config, dialect, self.loop, publish, recorder=self.recorder, signing=keys)
         self.links = LinkTable(config, dialect, self.hub, self.loop, publish, self.signing)
         self.link_watch = LinkWatch(self.hub)
-        self.third_party = AdmissionReports(self.hub, own, dialect, publish)
         # vehicles
         view = LinkView(self.hub, self.links, self.link_watch)
         self.fleet = Fleet(
@@ -114,7 +112,7 @@ class Daemon:
         self.links.loss_refusal = self.fleet.link_loss_refusal
         reports = RouteReports(self.fleet, publish, own.route_timeout_s)
         self.hub.connect(self.fleet if own.keep_vehicles else None, reports)
-        self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, publish)
+        self.air = Radios(own, self.hub, self.fleet, self.link_watch, publish)
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, publish)
         dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
         self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)
@@ -263,9 +261,11 @@ class Daemon:
                 self._every(LINK_CHOICE_S, lambda: self.hub.choose_links(self.now())), name="choice of links"
             ),
             group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
-            group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
+            group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="radios"),
             group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
-            group.create_task(self._every(1.0, self._tick_third_party), name="third-party traffic"),
+            group.create_task(
+                self._every(1.0, lambda: self.leftover_streams.tick(self.now())), name="leftover streams"
+            ),
             group.create_task(
                 self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="operator watchdog"
             ),
@@ -332,10 +332,6 @@ class Daemon:
         if (gates := self.hub.send_gates) is not None:
             for sysid, refusal in gates.changes(self.hub.boot_clock()):
                 self.fleet.authority_changed(sysid, refusal)
-
-    def _tick_third_party(self) -> None:
-        self.third_party.tick(self.now())
-        self.leftover_streams.tick(self.now())
 
     def now(self) -> float:
         """The loop's clock."""

@@ -91,8 +91,9 @@ def imports_of(module: Path, *, in_functions: bool) -> Iterator[str]:
             stack += ast.iter_child_nodes(node)
 
 
-CHOOSES = "skygcs.runtime.linktable"
-"""Its functions import the kinds of links that a fleet file has; a plain one has `PLAIN_LINK` alone."""
+CHOOSE = ("skygcs.runtime.linktable", "skygcs.runtime.radios")
+"""Their functions import the kinds of links that a fleet file has, and what radios need; a plain one has `PLAIN_LINK`
+alone."""
 PLAIN_LINK = "skygcs.links.udp"
 
 
@@ -108,6 +109,6 @@ def reached_from(name: str, *, in_functions: bool) -> set[str]:
     while left:
         if (module := left.pop()) in modules and module not in reached:
             reached.add(module)
-            left += imports_of(modules[module], in_functions=in_functions and module != CHOOSES)
+            left += imports_of(modules[module], in_functions=in_functions and module not in CHOOSE)
             left.append(module.rpartition(".")[0])
     return reached

@@ -22,11 +22,11 @@ from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.errors import LinkError
 from skygcs.events import Event
-from skygcs.links.paced import AirBudget
 from skygcs.links.reading import ReadingTurns
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath, Out, Table
+    from skygcs.links.paced import AirBudget
 
 
 class StateUpdate(NamedTuple):

@@ -16,7 +16,6 @@ from skygcs.rpc.dispatch import Encoded, Method
 from skygcs.rpc.json_lines import OrderReports
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
 from skygcs.rpc.slices import Slices
-from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
@@ -26,6 +25,7 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
+from skygcs.runtime.radios import Radios
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing_keys import Signing
@@ -70,7 +70,7 @@ class Services(Protocol):
     fleet: Fleet
     hub: Hub
     links: LinkTable
-    air: AirPlanner
+    air: Radios
     corrections: CorrectionFeed
     message_sender: MessageSender
     renumbering: Renumbering
