@@ -104,8 +104,8 @@ class Port:
         context: Any = SimpleNamespace(services=self.daemon, reports=None)
         answer = found.handler(context, found.params.model_validate({"targets": "v1", **params}))
         assert asyncio.iscoroutine(answer)
-        (outcome,) = (await answer)["outcomes"].values()
-        return dict(outcome)
+        (outcome,) = (await answer).values()
+        return dict(outcome.as_dict())
 
     def state(self) -> dict[str, Any]:
         return self.daemon.fleet.find("v1").state(self.daemon.now())

@@ -32,6 +32,8 @@ async def call(
     context: Any = SimpleNamespace(services=daemon, slices=slices, reports=reports, client=client)
     answer = method.handler(context, method.params.model_validate(params))
     result = await answer if asyncio.iscoroutine(answer) else answer
+    if method.shown is not None:
+        result = method.shown(result)
     return json.loads(result.body) if isinstance(result, Encoded) else result
 
 

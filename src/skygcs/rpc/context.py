@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Coroutine, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -170,13 +170,13 @@ def order_method(
     came when all places were taken and while the daemon shuts down.
     """
 
-    async def handler(context: Context, given: TargetsParams) -> JsonObject:
+    def handler(context: Context, given: TargetsParams) -> Coroutine[Any, Any, Mapping[str, HasDict]]:
         give = context.services.fleet.orders.command_all
-        return as_json(await give(given.targets, order, reports=context.reports, **more, **given.arguments()))
+        return give(given.targets, order, reports=context.reports, **more, **given.arguments())
 
     handler.__doc__ = description
     ends_flight = order in CARRIED_ON
-    return Method(name, params, handler, result, errors, outlives_client=ends_flight, always=ends_flight)
+    return Method(name, params, handler, result, errors, ends_flight, ends_flight, shown=as_json)
 
 
 def resolve(services: Services, targets: str | list[str]) -> list[VehicleActor]:

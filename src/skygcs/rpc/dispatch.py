@@ -91,7 +91,8 @@ class Method(Generic[C]):
     ``reach``: what the gate of calls to vehicles counts while a coroutine is carried out. None: the vehicles in its
     parameter ``targets`` or ``target``, and without such a parameter the whole fleet; only a method that sends nothing
     to vehicles declares "nothing", so that one that is not declared is counted, and not missed. ``reached``: where
-    other parameters, or what is loaded, say which vehicles of the fleet these are: a list of targets.
+    other parameters, or what is loaded, say which vehicles of the fleet these are: a list of targets. ``shown``: makes
+    the answer of what is awaited, where the handler is a plain function that returns a coroutine.
     """
 
     name: str
@@ -105,6 +106,12 @@ class Method(Generic[C]):
     unique_keys: bool = False
     reach: Reach | None = None
     reached: Callable[[C, Any], Sequence[Any]] | None = None
+    shown: Callable[[Any], Any] | None = None
+
+    @property
+    def waits(self) -> bool:
+        """True if it answers later."""
+        return self.shown is not None or inspect.iscoroutinefunction(self.handler)
 
     @property
     def goes_to(self) -> Reach:
@@ -125,7 +132,7 @@ class MethodTable(dict[str, Method[C]]):
         self.while_stopping: set[str] = set()
         """With those that are always answered."""
         self.coroutines: set[str] = set()
-        """Names of the methods whose handlers are coroutines."""
+        """Names of the methods that answer later."""
         self._take(methods)
 
     def add(self, methods: Collection[Method[C]]) -> None:
@@ -145,7 +152,7 @@ class MethodTable(dict[str, Method[C]]):
                 self.always.add(method.name)
             if method.always or method.while_stopping:
                 self.while_stopping.add(method.name)
-            if inspect.iscoroutinefunction(method.handler):
+            if method.waits:
                 self.coroutines.add(method.name)
 
 
@@ -339,7 +346,7 @@ class Dispatcher(Generic[C]):
             async with self.gate.room(method, context, params) as outcome:
                 if not outcome.done():
                     outcome.set_result(await method.handler(context, params))
-            result = outcome.result()
+            result = outcome.result() if method.shown is None else method.shown(outcome.result())
         except asyncio.CancelledError:
             end_if_cancelled()  # its client is gone, or the daemon ends
             # what it waited for was cancelled by something else: the client is there and waits for an answer

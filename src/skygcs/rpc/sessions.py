@@ -270,7 +270,7 @@ class Session(ClientPeer):
         if isinstance(reply, bytes):
             self.reply(reply)
         elif reply is not None:
-            self._run(reply, self.reply)
+            self._answer_later(self._hub.loop.create_task(reply, name="rpc request"), self.reply)
         return self._transport is not None
 
     def hold_back(self) -> None:
@@ -358,7 +358,8 @@ class Session(ClientPeer):
             reply = self._start(request, batch.twice)
         if isinstance(reply, Coroutine):
             batch.waits += 1
-            self._run(reply, functools.partial(self._on_reply_of, batch, len(batch.replies)))
+            task = self._hub.loop.create_task(reply, name="rpc request")
+            self._answer_later(task, functools.partial(self._on_reply_of, batch, len(batch.replies)))
             reply = None
         elif reply is not None:
             batch.size += len(reply)
@@ -382,8 +383,8 @@ class Session(ClientPeer):
         if not batch.requests and not batch.waits and (wanted := [reply for reply in batch.replies if reply]):
             self.reply(b"[" + b",".join(wanted) + b"]")
 
-    def _run(self, work: Coroutine[Any, Any, bytes], on_reply: Callable[[bytes], None]) -> None:
-        """Finish what takes time in a task of its own, which ends with the client at the latest.
+    def _answer_later(self, task: asyncio.Task[bytes], on_reply: Callable[[bytes], None]) -> None:
+        """Answer when the task of a request is done, which ends with the client at the latest.
 
         What a task of the hub does (`Sessions.outlive`) is only waited for here.
         """
@@ -391,7 +392,8 @@ class Session(ClientPeer):
         def on_done(task: asyncio.Task[bytes]) -> None:
             self.tasks.discard(task)
             self._in_flight -= 1
-            work.close()  # that of a task that was cancelled before it began
+            if (work := task.get_coro()) is not None:
+                work.close()  # that of a task that was cancelled before it began
             if task.cancelled():
                 pass
             elif (error := task.exception()) is not None:
@@ -400,7 +402,6 @@ class Session(ClientPeer):
                 on_reply(task.result())
             self._close_if_idle()
 
-        task = self._hub.loop.create_task(work, name="rpc request")
         self.tasks.add(task)
         task.add_done_callback(on_done)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import inspect
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +18,7 @@ from support.extension_parts import ALL_METHODS
 pytestmark = pytest.mark.looptime
 
 FLEET = [SimpleNamespace(name=f"v{number}") for number in range(250)]
-COROUTINES = [method for method in ALL_METHODS.values() if inspect.iscoroutinefunction(method.handler)]
+COROUTINES = [method for method in ALL_METHODS.values() if method.waits]
 COUNTED = [method for method in COROUTINES if method.goes_to != "nothing" and (method.ends_flight or not method.always)]
 
 
