@@ -34,7 +34,6 @@ from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.loop_clock import BEAT_S
-from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.radios import Radios
@@ -120,7 +119,6 @@ class Daemon:
         # what clients of the socket ask for
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
-        self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
         token = read_token("daemon", own.token_file)
         self.hub.asleep = self.hub.reading.asleep = self.fleet.sleep.check

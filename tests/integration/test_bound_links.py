@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.errors import ConfigError, LinkError, RefusedError
+from support.called import sender_of
 from support.daemons import memory_link
 from support.on_air import OnAir, on_air
 from support.pymav import PymavPeer
@@ -200,8 +201,8 @@ async def test_nothing_of_ours_is_sent_to_a_program_not_even_on_request(tmp_path
         program = await Program.start(air, 6)
         await program.wait_heartbeat()
         with pytest.raises(RefusedError, match="bound to vehicles"):
-            air.daemon.message_sender.send("STATUSTEXT", {"text": "hello"}, link="p6")
-        air.daemon.message_sender.send("SYSTEM_TIME", {})
+            sender_of(air.daemon).send("STATUSTEXT", {"text": "hello"}, link="p6")
+        sender_of(air.daemon).send("SYSTEM_TIME", {})
         await asyncio.sleep(3)
         assert program.sources() == {6}
 

@@ -10,6 +10,7 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.called import sender_of
 from support.daemons import made_daemon
 from support.flown import aloft
 
@@ -21,7 +22,7 @@ BY_HAND: dict[str, Any] = {"coordinate_frame": 1, "type_mask": 0xDC7, "vx": 1.0}
 async def test_no_setpoint_by_hand_goes_to_a_vehicle_that_is_flown_by_ours(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=1) as gcs:
         await gcs.fly("velocity")
-        send = gcs.daemon.message_sender.send
+        send = sender_of(gcs.daemon).send
         for to in ({"target": "v1"}, {"target": "all"}, {"link": "air"}, {}):
             fields = {"target_system": 0} if not to else {}
             with pytest.raises(RefusedError, match="v1 is flown by setpoints of skygcs"):

@@ -19,8 +19,10 @@ from skygcs.core.routing.routing_table import RouteNote
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, LinkError, RefusedError
 from skygcs.rpc.client import connect
+from skygcs.runtime.task_set import ask, asking_from
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.tlog.reading import LogReader
+from support.called import sender_of
 from support.daemons import made_daemon, memory_link, started
 from support.hosts import until
 from support.process import free_port
@@ -80,10 +82,10 @@ async def test_a_conflict_is_an_event_and_both_directions_are_on_the_tlog(tmp_pa
         peer.send(heartbeat(255, 25, gcs=True))
         peer.send(heartbeat(7))
         await until(lambda: 7 << 8 | 1 in daemon.fleet.vehicles)
-        answer = daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        answer = sender_of(daemon).send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         assert answer == {"sent": 1, "message": "PARAM_REQUEST_READ"}
         with pytest.raises(RefusedError, match="was not sent"):
-            daemon.message_sender.send("PARAM_REQUEST_READ", {"target_system": 99})
+            sender_of(daemon).send("PARAM_REQUEST_READ", {"target_system": 99})
         assert [e["kind"] for e in daemon.event_log.recent].count("conflict") == 1
         await until(lambda: any(raw[5] == 255 and raw[7] == 0 for raw in peer.received))
     [tlog] = (tmp_path / "logs").glob("*.tlog")
@@ -182,28 +184,44 @@ def sent_to(daemon: Daemon, link: str, name: str) -> list[dict[str, Any]]:
 
 async def test_the_target_field_is_filled_whatever_its_name(tmp_path: Path) -> None:
     async with with_vehicles(tmp_path) as daemon:
-        assert daemon.message_sender.send("MANUAL_CONTROL", {"x": 100}, "8") == {"sent": 1, "message": "MANUAL_CONTROL"}
+        assert sender_of(daemon).send("MANUAL_CONTROL", {"x": 100}, "8") == {"sent": 1, "message": "MANUAL_CONTROL"}
         await until(lambda: sent_to(daemon, "radio", "MANUAL_CONTROL"))
         [fields] = sent_to(daemon, "radio", "MANUAL_CONTROL")
         assert (fields["target"], fields["x"]) == (8, 100)
         assert sent_to(daemon, "other", "MANUAL_CONTROL") == []
 
 
+async def test_a_message_that_waited_for_its_methods_does_not_follow_a_later_order(tmp_path: Path) -> None:
+    """The first messages.send of all waits for an import; a hold that came meanwhile is not undone by it."""
+    async with with_vehicles(tmp_path) as daemon:
+        came = ask()
+        hold = asyncio.create_task(daemon.fleet.orders.command_all("7", VehicleActor.hold))
+        await asyncio.sleep(0.1)
+        for target in ("7", "all"):
+            asking_from(came)
+            with pytest.raises(RefusedError, match=r"COMMAND_LONG was not sent: \S+ got a later order; send it again"):
+                sender_of(daemon).send("COMMAND_LONG", {"command": 512}, target)
+        asking_from(came)
+        assert sender_of(daemon).send("COMMAND_LONG", {"command": 512}, "8")["sent"] == 1
+        assert sender_of(daemon).send("COMMAND_LONG", {"command": 512}, "7")["sent"] == 1
+        hold.cancel()
+
+
 async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_said(tmp_path: Path) -> None:
     async with with_vehicles(tmp_path) as daemon:
         with pytest.raises(RefusedError, match=r"COMMAND_LONG is addressed: give a target .* its field target_system"):
-            daemon.message_sender.send("COMMAND_LONG", {"command": 400, "param1": 1.0})
+            sender_of(daemon).send("COMMAND_LONG", {"command": 400, "param1": 1.0})
         with pytest.raises(RefusedError, match="its field target "):
-            daemon.message_sender.send("MANUAL_CONTROL", {"x": 1})
+            sender_of(daemon).send("MANUAL_CONTROL", {"x": 1})
         with pytest.raises(RefusedError, match="not both"):
-            daemon.message_sender.send("COMMAND_LONG", {"command": 400}, "7", "radio")
+            sender_of(daemon).send("COMMAND_LONG", {"command": 400}, "7", "radio")
         with pytest.raises(RefusedError, match="the target 8 differ"):
-            daemon.message_sender.send("COMMAND_LONG", {"command": 512, "target_system": 7}, "8")
+            sender_of(daemon).send("COMMAND_LONG", {"command": 512, "target_system": 7}, "8")
         await asyncio.sleep(0.05)
         assert sent_to(daemon, "radio", "COMMAND_LONG") == sent_to(daemon, "other", "COMMAND_LONG") == []
-        daemon.message_sender.send("COMMAND_LONG", {"command": 1, "target_system": 0})
-        daemon.message_sender.send("COMMAND_LONG", {"command": 2}, link="other")
-        assert daemon.message_sender.send("COMMAND_LONG", {"command": 3}, "all")["sent"] == 3
+        sender_of(daemon).send("COMMAND_LONG", {"command": 1, "target_system": 0})
+        sender_of(daemon).send("COMMAND_LONG", {"command": 2}, link="other")
+        assert sender_of(daemon).send("COMMAND_LONG", {"command": 3}, "all")["sent"] == 3
         await until(lambda: len(sent_to(daemon, "other", "COMMAND_LONG")) == 3)
         seen = [(f["command"], f["target_system"]) for f in sent_to(daemon, "radio", "COMMAND_LONG")]
         assert seen == [(1, 0), (3, 7), (3, 8)]
@@ -214,10 +232,10 @@ async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_sa
 async def test_a_message_without_target_says_who_else_gets_it_and_goes_out_once_a_link(tmp_path: Path) -> None:
     async with with_vehicles(tmp_path) as daemon:
         values = {"text": "hello"}
-        answer = daemon.message_sender.send("STATUSTEXT", values, "7")
+        answer = sender_of(daemon).send("STATUSTEXT", values, "7")
         assert answer["note"] == "STATUSTEXT has no target field: on the same link v8 got it as well"
-        assert "note" not in daemon.message_sender.send("STATUSTEXT", values, "9")
-        assert daemon.message_sender.send("STATUSTEXT", values, "all") == {"sent": 2, "message": "STATUSTEXT"}
+        assert "note" not in sender_of(daemon).send("STATUSTEXT", values, "9")
+        assert sender_of(daemon).send("STATUSTEXT", values, "all") == {"sent": 2, "message": "STATUSTEXT"}
         await until(lambda: len(sent_to(daemon, "radio", "STATUSTEXT")) == 2)
 
 
@@ -275,10 +293,10 @@ async def test_messages_give_way_to_orders_and_heartbeats(tmp_path: Path, monkey
         used: list[Priority] = []
         for channel in daemon.hub.channels.values():
             monkeypatch.setattr(channel, "send", lambda out, priority, key=None: used.append(priority) or True)
-        daemon.message_sender.send("STATUSTEXT", {}, "7")
-        daemon.message_sender.send("STATUSTEXT", {}, link="radio")
-        daemon.message_sender.send("STATUSTEXT", {})
-        daemon.message_sender.send("COMMAND_LONG", {"target_system": 7})
+        sender_of(daemon).send("STATUSTEXT", {}, "7")
+        sender_of(daemon).send("STATUSTEXT", {}, link="radio")
+        sender_of(daemon).send("STATUSTEXT", {})
+        sender_of(daemon).send("COMMAND_LONG", {"target_system": 7})
         assert set(used) <= {Priority.PROTOCOL, Priority.HEARTBEAT}
         assert used.count(Priority.PROTOCOL) == 5
 

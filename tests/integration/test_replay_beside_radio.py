@@ -13,6 +13,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.called import sender_of
 from support.daemons import made_daemon, memory_link, started
 from support.hosts import until
 from support.routed import DIALECT, heartbeat, message
@@ -96,7 +97,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
             assert outcome.result == "refused"
             assert "recording" in outcome.message
         try:
-            daemon.message_sender.send("PARAM_REQUEST_LIST", {}, "2")
+            sender_of(daemon).send("PARAM_REQUEST_LIST", {}, "2")
             raise AssertionError("it was sent")
         except RefusedError as error:
             assert "only in a recording" in str(error)
@@ -105,7 +106,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
         peer(daemon, "radio").send(heartbeat(2, seq=9))
         await until(lambda: daemon.fleet.vehicles.get(2 << 8 | 1) not in (None, recorded))
         assert daemon.fleet.vehicles[2 << 8 | 1].state(daemon.now())["replayed"] is False
-        assert daemon.message_sender.send("PARAM_REQUEST_LIST", {}, "2")["sent"] == 1
+        assert sender_of(daemon).send("PARAM_REQUEST_LIST", {}, "2")["sent"] == 1
 
 
 async def test_it_is_warned_of_when_it_is_added(tmp_path: Path) -> None:

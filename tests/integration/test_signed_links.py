@@ -21,7 +21,7 @@ from skygcs.core.mavlink.signing import is_signed_with, key_id, timestamp_at, ti
 from skygcs.daemon import Daemon
 from skygcs.errors import KeyFileError, LinkError, RefusedError, RpcError
 from skygcs.rpc.client import connect
-from support.called import signing_setup_of
+from support.called import sender_of, signing_setup_of
 from support.daemons import made_daemon, memory_link, started
 from support.hosts import until
 from support.pymav import PymavPeer
@@ -98,7 +98,7 @@ async def test_a_vehicle_that_signs_is_heard_and_takes_our_signed_orders(tmp_pat
         peer = SignedPeer(wire(daemon))
         peer.beat()
         await until(lambda: VEHICLE in daemon.fleet.vehicles)
-        daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        sender_of(daemon).send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
         assert all(m.get_signed() and m.get_link_id() == 4 for m in peer.good())
         assert peer.mav.signing.badsig_count == 0
@@ -277,7 +277,7 @@ async def test_a_clock_that_was_pinned_before_is_told_and_mended(tmp_path: Path,
         peer = SignedPeer(wire(daemon))
         peer.beat()
         await until(lambda: VEHICLE in daemon.fleet.vehicles)
-        daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        sender_of(daemon).send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
     async with running(tmp_path, radio=radio) as daemon:
         assert not [e for e in daemon.event_log.recent if e["kind"] == "warning"]
@@ -455,7 +455,7 @@ async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path:
             "or use skygcs-cli signing setup"
         ]
         with pytest.raises(RefusedError, match="signing setup"):
-            daemon.message_sender.send("SETUP_SIGNING", {"secret_key": list(OTHER)}, "7")
+            sender_of(daemon).send("SETUP_SIGNING", {"secret_key": list(OTHER)}, "7")
     assert OTHER not in b"".join(p.read_bytes() for p in (tmp_path / "logs").iterdir())
 
 

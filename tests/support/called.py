@@ -10,6 +10,7 @@ from typing import Any
 from skygcs.config.extension_tables import demanded_word, on_demand
 from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.daemon import Daemon
+from skygcs.ext.messages.message_sender import MessageSender
 from skygcs.ext.plans.extension import Plans
 from skygcs.ext.signing.signing_setup import SigningSetup
 from skygcs.rpc.dispatch import Encoded
@@ -42,6 +43,13 @@ def signing_setup_of(daemon: Daemon) -> SigningSetup:
     daemon.extensions.demand("signing")
     setup: SigningSetup = daemon.extensions["signing"].setup
     return setup
+
+
+def sender_of(daemon: Daemon) -> MessageSender:
+    """The sender of any message. Makes its extension if there is none yet."""
+    daemon.extensions.demand("messages.send")
+    sender: MessageSender = daemon.extensions["messages.send"].sender
+    return sender
 
 
 def plans_of(daemon: Daemon) -> Plans:

@@ -33,6 +33,7 @@ from skygcs.core.vehicle.orders import require_confirmed
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
+from skygcs.ext.messages.methods import MessageSending
 from skygcs.ext.plans.flight.guidance import choose
 from skygcs.ext.plans.flight_check import ChosenWay
 from skygcs.ext.plans.methods import METHODS as PLAN_METHODS
@@ -380,6 +381,14 @@ class FakeChecks(PreflightChecks):
         return {vehicle.name: {"state": "never"} for vehicle in self.core.fleet.resolve(targets)}
 
 
+class FakeSending(MessageSending):
+    """messages.send; what was sent is in ``sent`` of the `FakeDaemon`."""
+
+    def __init__(self, core: Any, config: NoTable) -> None:
+        super().__init__(SimpleNamespace(hub=None, fleet=None, links=None, now=core.now), config)  # type: ignore[arg-type]
+        self.sender = SimpleNamespace(send=core._send)  # type: ignore[assignment]
+
+
 class Awake:
     """A process that never stands still."""
 
@@ -587,7 +596,6 @@ class FakeDaemon:
         self.links = FakeLinks(radio={"type": "serial", "device": "/dev/ttyUSB0"})
         self.link_states: dict[str, dict[str, Any]] = {}
         self.corrections = FakeCorrections()
-        self.message_sender = SimpleNamespace(send=self._send)
         counted = {"frames": 100, "bytes": 4000, "lost": 1, "frames_per_s": 20.0, "age_s": 0.1}
         quality = {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0, **counted}}
         self.hub = SimpleNamespace(
@@ -598,7 +606,13 @@ class FakeDaemon:
         self.links.status = self._links_status  # type: ignore[attr-defined]
         services = cast("Services", self)
         self.extensions = Extensions(
-            {"plan": FakePlanning(services, NoTable()), "preflight": FakeChecks(services, NoTable())}, _raised, services
+            {
+                "plan": FakePlanning(services, NoTable()),
+                "preflight": FakeChecks(services, NoTable()),
+                "messages.send": FakeSending(services, NoTable()),
+            },
+            _raised,
+            services,
         )
         self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)

@@ -26,7 +26,6 @@ from skygcs.config.vehicle_tables import MonitorConfig, PreflightSettings, Separ
 from skygcs.core.geo import EAST_DEG, NOWHERE, is_nowhere
 from skygcs.core.mavlink.heartbeat import DEFAULT_LOST_S
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
-from skygcs.tlog.timeline import speed_problem
 
 Sysid = Annotated[int, Field(ge=1, le=255)]
 Compid = Annotated[int, Field(ge=1, le=255)]
@@ -59,9 +58,20 @@ MessageName = str | int
 """A message of the dialect, by name or id."""
 
 
+LEAST_SPEED, MAX_SPEED = 0.01, 1000.0
+"""Speed of a replay, times as fast as recorded. Slower, the longest pause would take over 17 minutes; faster is 0: as
+fast as possible."""
+
+
+def speed_problem(speed: float) -> str | None:
+    """Why a speed of a replay is not allowed; None: it is."""
+    if speed == 0 or LEAST_SPEED <= speed <= MAX_SPEED:
+        return None
+    return f"must be 0 (as fast as possible) or {LEAST_SPEED:g} to {MAX_SPEED:g}, not {speed:g}"
+
+
 def _speed(speed: float) -> float:
-    problem = speed_problem(speed)
-    if problem is not None:
+    if (problem := speed_problem(speed)) is not None:
         raise ValueError(problem)
     return speed
 

@@ -2,7 +2,7 @@
 expected of it before it flies; and ``[monitor]``, which watches the first.
 
 Every key is optional at every level; defaults are those of `core.separation` and
-`core.preflight.expectations.Expectations`.
+`core.params.expectations.Expectations`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from skygcs.config.tables import Model
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
-from skygcs.core.preflight.expectations import ControlMode, Expectations, Rule, version_problem
+from skygcs.core.params.expectations import ControlMode, Expectations, Rule, version_problem
 from skygcs.core.separation import Footprint
 
 MonitorMode = Literal["off", "advisory", "acting"]

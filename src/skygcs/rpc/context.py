@@ -23,7 +23,6 @@ from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.fleet_orders import CARRIED_ON, Order
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
-from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.radios import Radios
 from skygcs.runtime.recorder import Recorder
@@ -72,7 +71,6 @@ class Services(Protocol):
     links: LinkTable
     air: Radios
     corrections: CorrectionFeed
-    message_sender: MessageSender
     renumbering: Renumbering
     operator_watchdog: OperatorWatchdog
     recorder: Recorder | None

@@ -14,8 +14,8 @@ from typing import Any
 
 from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
+from skygcs.core.params.expectations import Expectations
 from skygcs.core.params.names import turns_on
-from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.health import FRESH_S
 from skygcs.core.preflight.report import (
     Answer,

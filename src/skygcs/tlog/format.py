@@ -17,7 +17,10 @@ from typing import Literal, Protocol, overload
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import HEADER_BYTES, MAX_FRAME_BYTES, Frame, FrameVerdict, check, frame_size
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.tlog.timeline import CLOCK_STEP_US
+
+CLOCK_STEP_US = 24 * 3600 * 1_000_000
+"""Two neighbouring records whose times differ by more than a day: the clock was set, a byte was damaged, or another
+flight was appended to the file. Such a step is no part of the flight's duration."""
 
 TIME_BYTES = 8
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, FrameVerdict
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.tlog.format import ByteSource, LogEntry, LogKind, RecordFinder
-from skygcs.tlog.timeline import CLOCK_STEP_US, REORDERED_S, Timeline
+from skygcs.tlog.format import CLOCK_STEP_US, ByteSource, LogEntry, LogKind, RecordFinder
+from skygcs.tlog.timeline import REORDERED_S, Timeline
 
 LOOKS = 4096
 """Places searched at a time for the next record, by a caller that has no other work."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-CLOCK_STEP_US = 24 * 3600 * 1_000_000
-"""Two neighbouring records whose times differ by more than a day: the clock was set, a byte was damaged, or another
-flight was appended to the file. Such a step is no part of the flight's duration."""
+from skygcs.tlog.format import CLOCK_STEP_US
 
 REORDERED_S = 5.0
 """Records up to this much older than the newest are out of order (several threads write, a radio queues) and count as
@@ -12,16 +10,6 @@ simultaneous with it; for older ones the clock was set back. The public logs hav
 
 LONGEST_GAP_S = 10.0
 """When played, a longer pause is cut to this: the time between two flights in one file."""
-
-LEAST_SPEED, MAX_SPEED = 0.01, 1000.0
-"""Times as fast as recorded. Slower, the longest pause would take over 17 minutes; faster is 0: as fast as possible."""
-
-
-def speed_problem(speed: float) -> str | None:
-    """Why a speed is not allowed; None: it is."""
-    if speed == 0 or LEAST_SPEED <= speed <= MAX_SPEED:
-        return None
-    return f"must be 0 (as fast as possible) or {LEAST_SPEED:g} to {MAX_SPEED:g}, not {speed:g}"
 
 
 class Timeline:

@@ -10,7 +10,7 @@ import pytest
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig, VehicleConfig
 from skygcs.config.vehicle_tables import PreflightSettings
-from skygcs.core.preflight.expectations import Expectations, Rule
+from skygcs.core.params.expectations import Expectations, Rule
 from skygcs.errors import ConfigError
 from support.table import each
 

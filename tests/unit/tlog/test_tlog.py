@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.tlog.format import LogEntry, encode_record, sniff
+from skygcs.tlog.format import CLOCK_STEP_US, LogEntry, encode_record, sniff
 from skygcs.tlog.reading import LogReader
 from skygcs.tlog.selection import Selection
-from skygcs.tlog.timeline import CLOCK_STEP_US
 from support.examples import examples, thinned
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, public_file

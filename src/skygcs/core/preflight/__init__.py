@@ -1,8 +1,6 @@
 """Judge whether a vehicle is ready to fly: a table of checks, each a verdict with the figure, the limit and what to do.
 Pure.
 
-`expectations`  everything that is expected of one vehicle, rules for its parameters among it; defaults are sensible
-                without a word in the fleet file
 `report`        everything the checks look at, as plain values; findings and what they add up to
 `health`        checks of what the vehicle reports of itself and of its link, and of its external poses
 `settings`      checks of its parameters

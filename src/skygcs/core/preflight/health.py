@@ -25,7 +25,7 @@ from typing import Any
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.param_encoding import value_text
-from skygcs.core.preflight.expectations import FIXES, Expectations, version_of
+from skygcs.core.params.expectations import FIXES, Expectations, version_of
 from skygcs.core.preflight.report import Finding, Fix, PreflightFacts, Severity, failed, passed, skipped, unknown
 from skygcs.core.vehicle.autopilot import TAKEOFF_MODES, takes_off_from
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 from skygcs.core.mavlink.param_encoding import value_text
 from skygcs.core.mavlink.vehicle_class import Q_OPTIONS, Q_RTL_MODE, RTL_LAND_DELAY, HeightParam, ReturnEnd
+from skygcs.core.params.expectations import Expectations, Rule
 from skygcs.core.params.names import other_name, sort_of
-from skygcs.core.preflight.expectations import Expectations, Rule
 from skygcs.core.preflight.report import (
     Finding,
     Fix,

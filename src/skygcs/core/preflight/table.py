@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
+from skygcs.core.params.expectations import Expectations
 from skygcs.core.preflight import health, settings
-from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.report import Finding, PreflightFacts, PreflightReport, Severity
 
 Judge = Callable[[PreflightFacts, Expectations], Finding]

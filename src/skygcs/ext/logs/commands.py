@@ -30,7 +30,6 @@ from skygcs.ext.logs.table_files import write_tables
 from skygcs.terminal_text import visible
 from skygcs.tlog.files import KIND_NAMES, opened_log
 from skygcs.tlog.selection import Selection, SourceFilter
-from skygcs.tlog.timeline import speed_problem
 
 tlog = typer.Typer(help="Recorded flights: tlog files and raw captures.", no_args_is_help=True)
 
@@ -343,8 +342,9 @@ def _play(
 
     Example: skygcs-cli tlog play flight.tlog 10.0.0.5:14550 --speed 10
     """
-    problem = speed_problem(speed)
-    if problem is not None:
+    from skygcs.config.models import speed_problem  # pydantic's models are heavy
+
+    if (problem := speed_problem(speed)) is not None:
         raise typer.BadParameter(f"--speed: {problem}")
     where = _address(address)
 

@@ -15,9 +15,8 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.errors import SkygcsError
 from skygcs.ext.logs.flight import MOST_VEHICLES
 from skygcs.tlog.files import LogFile, Outputs, make_folder, note, opened_log
-from skygcs.tlog.format import LogEntry, encode_record
+from skygcs.tlog.format import CLOCK_STEP_US, LogEntry, encode_record
 from skygcs.tlog.selection import Selection
-from skygcs.tlog.timeline import CLOCK_STEP_US
 
 REST = "rest"
 

@@ -10,8 +10,16 @@ import pytest
 
 from skygcs.core.control.cascade import Estimate, Memory, Reference
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.trace import COLUMNS, PredictionStep, TraceHead, TraceRow, TraceWriter, decode, rerun
-from skygcs.core.control.trace_row import COLUMNS_1
+from skygcs.core.control.trace import (
+    COLUMNS,
+    COLUMNS_1,
+    PredictionStep,
+    TraceHead,
+    TraceRow,
+    TraceWriter,
+    decode,
+    rerun,
+)
 from skygcs.core.control.velocity_predictor import PX4_LOOP, PredictorMemory, Timing, predicted_setpoint
 from skygcs.errors import TraceError
 from support.table import each

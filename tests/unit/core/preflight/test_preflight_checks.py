@@ -8,8 +8,8 @@ from typing import Any
 from skygcs.core.mavlink.modes import Family
 from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.mavlink.vehicle_class import Abilities, VehicleClass, abilities_of
+from skygcs.core.params.expectations import Expectations, Rule
 from skygcs.core.preflight import health, settings
-from skygcs.core.preflight.expectations import Expectations, Rule
 from skygcs.core.preflight.report import (
     Answer,
     LinkFacts,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.mavlink.param_encoding import float32
-from skygcs.core.preflight.expectations import Rule
+from skygcs.core.params.expectations import Rule
 from support.table import each
 
 VALUES = st.integers(-1000, 1000) | st.floats(-1000, 1000, width=32)

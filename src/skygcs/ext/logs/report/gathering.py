@@ -24,8 +24,7 @@ from skygcs.ext.logs.report.planned import system_of
 from skygcs.ext.logs.tables import VehicleKey
 from skygcs.ext.logs.trace_figures import MOST_ROWS, age_ms, error_m, trace_figures
 from skygcs.tlog.files import FileWindow, opened_log
-from skygcs.tlog.format import RecordFinder, sniff
-from skygcs.tlog.timeline import CLOCK_STEP_US
+from skygcs.tlog.format import CLOCK_STEP_US, RecordFinder, sniff
 from skygcs.tlog.trace_file import read_trace
 
 ALL_DAYS = "all"

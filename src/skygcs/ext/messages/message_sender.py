@@ -17,6 +17,7 @@ from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.task_set import ask
 from skygcs.spelling import enumerated
 
 SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"})
@@ -55,6 +56,7 @@ class MessageSender:
         The answer's "sent" counts transmissions; "note" names other vehicles that hear it, too. Raises KeyError
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
         """
+        asked = ask()
         # find the message; its target must be given once
         info = self._hub.dialect.find(name)
         system, _ = target_fields(info)
@@ -74,7 +76,7 @@ class MessageSender:
                 "(0: everyone)"
             )
         # clear it, and send it
-        clearance = self._clear(info, fields, target, link, force=force)
+        clearance = self._clear(info, fields, target, link, asked, force=force)
         if link is not None:
             return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields, clearance)))
         if target is not None:
@@ -98,12 +100,18 @@ class MessageSender:
         fields: Mapping[str, Any],
         target: str | list[str] | None,
         link: str | None,
+        asked: int,
         *,
         force: bool,
     ) -> Clearance:
-        """The outgoing gate's leave for it. Raises RefusedError."""
-        now = self._now()
-        models = [model_of(vehicle, now) for vehicle in self._reached(info, fields, target, link)]
+        """The outgoing gate's leave for it. Raises RefusedError, also where a vehicle got an order that was asked for
+        after ``asked``."""
+        now, reached = self._now(), self._reached(info, fields, target, link)
+        # the first call of all waits for the import of this module
+        late = [v.name for v in reached if self._fleet.vehicles[v.key].runner.ledger.is_behind(asked)]
+        if late:
+            raise RefusedError(f"{info.name} was not sent: {enumerated(late, 10)} got a later order; send it again")
+        models = [model_of(vehicle, now) for vehicle in reached]
         names = self._hub.dialect.enums.get("MAV_CMD", {})
         return clear_message(models, info.name, fields, names, force=force)
 
