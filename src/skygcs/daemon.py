@@ -26,7 +26,6 @@ from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.alarm_book import AlarmBook
 from skygcs.runtime.components import ONBOARD_COMPUTER
-from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -118,7 +117,6 @@ class Daemon:
         self._observe()
         # what clients of the socket ask for
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
-        self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.socket_path = own.socket or default_socket_path()
         token = read_token("daemon", own.token_file)
         self.hub.asleep = self.hub.reading.asleep = self.fleet.sleep.check
@@ -184,7 +182,6 @@ class Daemon:
             lambda _: self.hub.woke(),
             lambda pause: self.rpc.close_sessions(f"{pause.text}: connect anew"),
             lambda pause: self.operator_watchdog.slept(pause.missed_s),
-            lambda _: self.corrections.woke(),
             lambda pause: self.extensions.woke(pause.text),
         )
 

@@ -91,6 +91,9 @@ class Extension(Generic[C]):
     names: ClassVar[tuple[str, ...]] = ()
     """First words of its methods and state groups beside the name of its table."""
 
+    own_methods: ClassVar[tuple[Method[Context], ...]] = ()
+    """Its RPC methods, where they do not follow from its table."""
+
     control_at: ClassVar[str | None] = None
     """The value of `ControlSettings.at` for vehicles that it flies from elsewhere; see `new_flight`."""
 
@@ -129,7 +132,7 @@ class Extension(Generic[C]):
 
     def methods(self) -> Iterable[Method[Context]]:
         """Its RPC methods; their names begin with the name of its table, or one of ``names``."""
-        return ()
+        return self.own_methods
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         """Its groups of a vehicle's state, by name. One of the core's name takes the place of that."""

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import RefusedError
-from skygcs.rpc.links import CorrectionsStatus, CorrectionsTaken
+from skygcs.ext.corrections.methods import CorrectionsStatus, CorrectionsTaken
 from support.flown import Flown
 from support.grounded import on_the_ground
 from support.rtcm import STANDARD_1005, rtcm_frame

@@ -22,7 +22,7 @@ OBSERVATIONS = (1077, 1087, 1097, 1127)
 
 
 def ask(air: OnAir, name: str, **params: Any) -> Any:
-    method = METHODS[name]
+    method = {m.name: m for m in (*METHODS.values(), *air.daemon.extensions.demand("corrections"))}[name]
     return method.handler(SimpleNamespace(services=air.daemon), method.params.model_validate(params))  # type: ignore[arg-type]
 
 

@@ -13,7 +13,7 @@ from skygcs.cli.corrections import status_lines
 from skygcs.errors import RefusedError, RpcError
 from skygcs.ext.corrections import receiver
 from skygcs.ext.corrections.config import CorrectionsConfig
-from skygcs.rpc.links import CorrectionsStatus
+from skygcs.ext.corrections.methods import CorrectionsStatus
 from support.base_receiver import BaseReceiver
 from support.caster import Caster, says, streams
 from support.flown import FIELD, Flown

@@ -10,10 +10,10 @@ from typing import Any
 from skygcs.events import Event
 from skygcs.ext.corrections.caster import CasterSource
 from skygcs.ext.corrections.config import CorrectionsConfig
+from skygcs.ext.corrections.correction_feed import CorrectionFeed
 from skygcs.ext.corrections.feeder import Feeder
 from skygcs.ext.corrections.gga import GgaPosition
 from skygcs.ext.corrections.receiver import ReceiverSource
-from skygcs.runtime.correction_feed import CorrectionFeed
 from support.frames import dialect
 
 

@@ -33,6 +33,7 @@ from skygcs.core.vehicle.orders import require_confirmed
 from skygcs.core.vehicle.tracking_record import TrackingRecord
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
+from skygcs.ext.corrections.methods import Corrections
 from skygcs.ext.messages.methods import MessageSending
 from skygcs.ext.plans.flight.guidance import choose
 from skygcs.ext.plans.flight_check import ChosenWay
@@ -389,6 +390,14 @@ class FakeSending(MessageSending):
         self.sender = SimpleNamespace(send=core._send)  # type: ignore[assignment]
 
 
+class FakeFeed(Corrections):
+    """corrections.*, on the `FakeCorrections` of the `FakeDaemon`."""
+
+    def __init__(self, core: Any, config: NoTable) -> None:
+        super().__init__(SimpleNamespace(hub=SimpleNamespace(dialect=core.dialect), fleet=None, now=core.now), config)  # type: ignore[arg-type]
+        self.feed = core.corrections
+
+
 class Awake:
     """A process that never stands still."""
 
@@ -610,6 +619,7 @@ class FakeDaemon:
                 "plan": FakePlanning(services, NoTable()),
                 "preflight": FakeChecks(services, NoTable()),
                 "messages.send": FakeSending(services, NoTable()),
+                "corrections": FakeFeed(services, NoTable()),
             },
             _raised,
             services,

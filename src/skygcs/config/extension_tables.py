@@ -139,10 +139,15 @@ def find_owners(names: set[str]) -> tuple[dict[str, type[TableOwner]], dict[str,
 
 
 def word_problems(owners: Mapping[str, type[TableOwner]]) -> list[str]:
-    """Which of these extensions take a first word of methods that an extension of skygcs itself has on demand."""
+    """Which of these extensions take a first word of methods that an extension of skygcs itself has on demand. The
+    table of one of ours may have the same name as what is made without it: it then takes its place."""
     ours = {word for word, point in on_demand().items() if point.value.startswith(OWN_PACKAGE)} if owners else set()
-    taken = {name: sorted({name, *owner.names} & ours) for name, owner in owners.items()}
+    taken = {name: sorted(_words_of(name, owner) & ours) for name, owner in owners.items()}
     return [f"[{name}]: methods that begin with {words[0]} are skygcs' own" for name, words in taken.items() if words]
+
+
+def _words_of(name: str, owner: type[TableOwner]) -> set[str]:
+    return {*owner.names} if owner.__module__.startswith(OWN_PACKAGE) else {name, *owner.names}
 
 
 @functools.cache

@@ -17,7 +17,6 @@ from skygcs.rpc.json_lines import OrderReports
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
 from skygcs.rpc.slices import Slices
 from skygcs.runtime.alarm_book import AlarmBook
-from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.fleet_orders import CARRIED_ON, Order
@@ -70,7 +69,6 @@ class Services(Protocol):
     hub: Hub
     links: LinkTable
     air: Radios
-    corrections: CorrectionFeed
     renumbering: Renumbering
     operator_watchdog: OperatorWatchdog
     recorder: Recorder | None

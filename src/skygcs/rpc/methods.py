@@ -152,7 +152,6 @@ _PARTS: tuple[tuple[Method[Context], ...], ...] = (
     alarms.METHODS,
     alarms.MONITOR,
     links.AIR,
-    links.CORRECTIONS,
     (Method("rpc.discover", NoParams, rpc_discover, reach="nothing"),),
 )
 """In the order in which they are documented: what an emergency, a setpoint, the origin or an operator's sign of life

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.config.extension_tables import GROUP, ON_DEMAND, installed, installed_points, on_demand, word_problems
+from skygcs.ext.corrections.extension import OwnCorrections
 from skygcs.extension import Extension
 from skygcs.web.file_checks import CHECKS, EXTENSION_CHECKS, extension_checks
 
@@ -71,6 +72,11 @@ def test_a_table_takes_no_word_of_the_methods_that_come_on_demand(part: tuple[st
     name, names = part
     (problem,) = word_problems({name: type("Own", (Extension,), {"names": names}), "kites": Extension})
     assert problem == f"[{name}]: methods that begin with {(*names, name)[0]} are skygcs' own"
+
+
+def test_a_table_of_ours_takes_the_place_of_what_is_made_without_it() -> None:
+    assert "corrections" in on_demand() and "corrections" in installed()
+    assert word_problems({"corrections": OwnCorrections}) == []
 
 
 def test_a_check_of_the_page_takes_no_method_of_the_page(install: Install) -> None:

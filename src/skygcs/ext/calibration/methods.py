@@ -3,7 +3,7 @@ called."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import Field
@@ -56,9 +56,7 @@ METHODS: tuple[Method[Context], ...] = (
 
 class Calibration(Extension[NoTable]):
     names = ("calibration",)
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
+    own_methods = METHODS
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         return {"calibration": _state_of}

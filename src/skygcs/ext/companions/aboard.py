@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
     from skygcs.core.mavlink.frame import Frame
     from skygcs.links.base import Channel
-    from skygcs.rpc.context import Context, NewSession, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import NewSession, Services
 
 CONTACT_TICK_S = 0.2
 """How late the loss of the ground may be noticed; `ground_lost_s` is seconds."""
@@ -35,6 +34,7 @@ class Companion(Extension[CompanionConfig]):
 
     Config = CompanionConfig
     names = ("companions",)
+    own_methods = methods.METHODS
 
     def __init__(self, core: Services, config: CompanionConfig) -> None:
         super().__init__(core, config)
@@ -54,9 +54,6 @@ class Companion(Extension[CompanionConfig]):
     @classmethod
     def applied(cls, config: Any, fleet: FleetConfig) -> FleetConfig:
         return as_companion(config, fleet)
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return methods.METHODS
 
     def clocks(self) -> Iterable[Clock]:
         yield Clock("watch over the ground", CONTACT_TICK_S, lambda: self.orders.tick(self.core.now()))

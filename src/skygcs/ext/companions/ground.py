@@ -25,8 +25,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig, VehicleConfig
     from skygcs.core.vehicle.vehicle import Vehicle
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
     from skygcs.runtime.vehicle_services import VehicleServices
 
 
@@ -36,6 +35,7 @@ class Companions(Extension[CompanionsConfig]):
     Config = CompanionsConfig
     names = ("companion",)
     control_at = "companion"
+    own_methods = (methods.STATUS,)
 
     def __init__(self, core: Services, config: CompanionsConfig) -> None:
         super().__init__(core, config)
@@ -62,9 +62,6 @@ class Companions(Extension[CompanionsConfig]):
         if find_spec("asyncssh") is None:
             return ["asyncssh is not installed here: pip install 'skygcs[companions]'"]
         return []
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return (methods.STATUS,)
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         return {"companion": self._companion_of}

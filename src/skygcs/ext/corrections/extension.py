@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.tables import Problem
@@ -12,29 +12,28 @@ from skygcs.ext.corrections.caster import CasterSource
 from skygcs.ext.corrections.config import CorrectionsConfig, corrections_problems
 from skygcs.ext.corrections.feeder import Feeder
 from skygcs.ext.corrections.gga import GgaPosition, chosen_place
-from skygcs.ext.corrections.methods import METHODS
+from skygcs.ext.corrections.methods import Corrections
 from skygcs.ext.corrections.receiver import ReceiverSource
-from skygcs.extension import Extension
 
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
 
 _GPS = frozenset({"gps"})
 
 
-class OwnCorrections(Extension[CorrectionsConfig]):
+class OwnCorrections(Corrections):
     """Takes the corrections of the table's source to the vehicles."""
 
     Config = CorrectionsConfig
+    config: CorrectionsConfig
 
     def __init__(self, core: Services, config: CorrectionsConfig) -> None:
         super().__init__(core, config)
         self._receiver = None if config.serial is None else ReceiverSource(config, core.now)
         source = self._receiver or CasterSource(config, self._place, core.now)
-        self.feeder = Feeder(source, core.corrections, core.now, core.event_log.publish, core.fleet.sleep.check)
-        core.corrections.own_source = self.feeder.status
+        self.feeder = Feeder(source, self.feed, core.now, core.event_log.publish, core.fleet.sleep.check)
+        self.feed.own_source = self.feeder.status
 
     @classmethod
     def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
@@ -52,9 +51,6 @@ class OwnCorrections(Extension[CorrectionsConfig]):
             notes.append(f"the device {config.serial} (serial) is not there now")
         return notes
 
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
-
     def info(self) -> Mapping[str, Any]:
         status = self.feeder.status()
         return {key: status[key] for key in ("kind", "name", "state", "text", "age_s")}
@@ -67,10 +63,10 @@ class OwnCorrections(Extension[CorrectionsConfig]):
         await self.feeder.run()
 
     def woke(self, why: str) -> None:
+        super().woke(why)
         self.feeder.woke(why)
 
     def restart_survey(self) -> dict[str, Any]:
-        """Begin the survey anew; the status of the source. Raises RefusedError."""
         if self._receiver is None:
             raise RefusedError("the corrections come from a caster: there is no receiver that could survey")
         try:

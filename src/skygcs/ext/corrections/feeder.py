@@ -20,9 +20,9 @@ from skygcs.core.radio_link.corrections import MAX_TYPES
 from skygcs.core.token_bucket import TokenBucket
 from skygcs.errors import LinkError, RefusedError
 from skygcs.events import Event
+from skygcs.ext.corrections.correction_feed import RATE_S, CorrectionFeed
 from skygcs.ext.corrections.ntrip import RefusedByCaster
 from skygcs.links.base import STABLE_AFTER_S
-from skygcs.runtime.correction_feed import RATE_S, CorrectionFeed
 from skygcs.runtime.loop_clock import PAUSED
 
 FIRST_BACK_OFF_S = 1.0

@@ -22,8 +22,7 @@ from skygcs.spelling import rounded
 
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
     from skygcs.runtime.vehicle_actor import VehicleActor
 
 KIND = "drill"
@@ -37,6 +36,7 @@ class Drills(Extension[DrillsConfig]):
     """The faults that last, of all simulated vehicles."""
 
     Config = DrillsConfig
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: DrillsConfig) -> None:
         super().__init__(core, config)
@@ -56,9 +56,6 @@ class Drills(Extension[DrillsConfig]):
         if not real:
             return []
         return [f"beside {', '.join(real)}: give simulated vehicles system ids that no real one has (first_sysid)"]
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         return {"drills": self._state_of}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from skygcs.config.tables import Problem
     from skygcs.core.routing.send_gates import SendGate
     from skygcs.extension import StateGroup
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
     from skygcs.runtime.vehicle_actor import VehicleActor
 
 
@@ -42,6 +41,7 @@ class Federation(ProcessExtension[FederationConfig]):
 
     Config = FederationConfig
     names = ("authority",)
+    own_methods = methods.METHODS
 
     def __init__(self, core: Services, config: FederationConfig) -> None:
         super().__init__(core, config)
@@ -81,9 +81,6 @@ class Federation(ProcessExtension[FederationConfig]):
         return f"{', '.join(config.servers)} as {config.role} {config.site or ''}".rstrip()
 
     # -- its parts
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return methods.METHODS
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         return {"authority": self._state_group}

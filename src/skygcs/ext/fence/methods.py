@@ -3,7 +3,7 @@ first called."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from pydantic import Field
@@ -124,5 +124,4 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Fence(Extension[NoTable]):
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
+    own_methods = METHODS

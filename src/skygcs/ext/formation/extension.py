@@ -42,8 +42,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
 
 PERIOD_S = 0.1
 
@@ -70,6 +69,7 @@ class Formation(Extension[FormationConfig]):
     """One formation at a time."""
 
     Config = FormationConfig
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: FormationConfig) -> None:
         super().__init__(core, config)
@@ -91,9 +91,6 @@ class Formation(Extension[FormationConfig]):
     @classmethod
     def problems(cls, config: Any, fleet: FleetConfig) -> list[Problem]:
         return formation_problems(config, fleet)
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         return {"formation": self._state_of}

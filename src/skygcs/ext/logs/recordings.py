@@ -15,7 +15,6 @@ import signal
 import socket
 import stat
 import sys
-from collections.abc import Iterable
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,8 +29,7 @@ from skygcs.extension import Extension
 from skygcs.web.control_socket import ask_for_link, control_path
 
 if TYPE_CHECKING:
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.tlog")
 """A file's name, and no path."""
@@ -116,6 +114,7 @@ class Recordings(Extension[RecordingsConfig]):
     """Lists the recordings of the log folder, and has one replayed."""
 
     Config = RecordingsConfig
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: RecordingsConfig) -> None:
         super().__init__(core, config)
@@ -129,9 +128,6 @@ class Recordings(Extension[RecordingsConfig]):
     def notes(cls, config: Any) -> list[str]:
         missing = find_spec("aiohttp") is None
         return ["aiohttp is not installed here, for replays: pip install 'skygcs[web]'"] if missing else []
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def info(self) -> dict[str, Any]:
         replay = self._replay

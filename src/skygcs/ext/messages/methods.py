@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from typing import Any, cast
 
 from pydantic import Field
@@ -130,9 +129,8 @@ METHODS: tuple[Method[Context], ...] = (Method("messages.send", SendParams, mess
 
 
 class MessageSending(Extension[NoTable]):
+    own_methods = METHODS
+
     def __init__(self, core: Services, config: NoTable) -> None:
         super().__init__(core, config)
         self.sender = MessageSender(core.hub, core.fleet, core.links, core.now)
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS

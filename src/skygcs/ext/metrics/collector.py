@@ -182,10 +182,13 @@ class MetricsCollector:
         put("skygcs_separation_conflicts", sum(1 for _ in monitor.monitor.conflicts()))
         put("skygcs_separation_evaluation_seconds", monitor.took_s)
         # corrections
-        corrections = services.corrections.totals
-        put("skygcs_corrections_messages_total", corrections["messages"])
-        put("skygcs_corrections_bytes_total", corrections["bytes"])
-        put("skygcs_corrections_age_seconds", services.corrections.age_s())
+        try:
+            feed = services.extensions["corrections"].feed
+        except KeyError:  # nobody has sent any
+            feed = None
+        put("skygcs_corrections_messages_total", 0 if feed is None else feed.totals["messages"])
+        put("skygcs_corrections_bytes_total", 0 if feed is None else feed.totals["bytes"])
+        put("skygcs_corrections_age_seconds", None if feed is None else feed.age_s())
         # the collector itself
         put("skygcs_scrapes_total", self._scrapes)
         put("skygcs_scrape_cpu_seconds", self._cpu_s)

@@ -4,7 +4,7 @@ first called."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any, Literal, cast
 
@@ -313,6 +313,8 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Missions(Extension[NoTable]):
+    own_methods = METHODS
+
     def __init__(self, core: Services, config: NoTable) -> None:
         super().__init__(core, config)
         self.turns = MissionTurns(asyncio.get_running_loop(), core.event_log.publish)
@@ -325,6 +327,3 @@ class Missions(Extension[NoTable]):
 
     def close(self) -> None:
         self.turns.close()
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS

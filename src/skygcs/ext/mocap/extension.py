@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
     from skygcs.core.vehicle.order_plan import Plan
     from skygcs.core.vehicle.vehicle import Vehicle
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
 
 
 class Mocap(Extension[MocapConfig]):
     """Feeds poses from the opening of the links to the end."""
 
     Config = MocapConfig
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: MocapConfig) -> None:
         super().__init__(core, config)
@@ -45,9 +45,6 @@ class Mocap(Extension[MocapConfig]):
         if config.file is not None and not os.path.isfile(config.file):
             return [f"the recording {config.file} (file) does not exist now"]
         return []
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def state_groups(self) -> Mapping[str, StateGroup]:
         return {"mocap": lambda vehicle, now: self.feed.status_of(vehicle.sysid, now)}

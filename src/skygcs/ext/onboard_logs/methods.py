@@ -5,7 +5,7 @@ The orders are functions of the vehicle's actor, given with `FleetOrders.command
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -55,5 +55,4 @@ METHODS: tuple[Method[Context], ...] = tuple(
 
 
 class OnboardLogs(Extension[NoTable]):
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
+    own_methods = METHODS

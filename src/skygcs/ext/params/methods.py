@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any
 
@@ -312,5 +312,4 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Params(Extension[NoTable]):
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
+    own_methods = METHODS

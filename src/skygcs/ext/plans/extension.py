@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from skygcs.ext.plans.methods import METHODS
@@ -13,12 +12,13 @@ from skygcs.ext.plans.planning.process import PlanningProcesses
 from skygcs.extension import Extension, NoTable
 
 if TYPE_CHECKING:
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
 
 
 class Plans(Extension[NoTable]):
     """Plans of one fleet: it is the `PlanKeeper` of the fleet's `PlanPlace` once it is made."""
+
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: NoTable) -> None:
         super().__init__(core, config)
@@ -31,9 +31,6 @@ class Plans(Extension[NoTable]):
 
     def registered(self) -> None:
         self.core.fleet.plans.keeper = self.runner
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def close(self) -> None:
         self.queue.close()

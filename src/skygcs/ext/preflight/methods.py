@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
 from pydantic import Field
@@ -101,8 +101,7 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class PreflightChecks(Extension[NoTable]):
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
+    own_methods = METHODS
 
     async def examine(
         self,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,7 @@ from skygcs.runtime.supervised_child import SupervisedChild
 
 if TYPE_CHECKING:
     from skygcs.config.models import FleetConfig
-    from skygcs.rpc.context import Context, Services
-    from skygcs.rpc.dispatch import Method
+    from skygcs.rpc.context import Services
 
 MODULES = {1: ("rosbags",), 2: ("cyclonedds", "rosbags")}
 """By the version of ROS."""
@@ -28,6 +26,7 @@ class Ros(ProcessExtension[RosConfig]):
     """Keeps the process of ROS running, and has its last report."""
 
     Config = RosConfig
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: RosConfig) -> None:
         super().__init__(core, config)
@@ -51,9 +50,6 @@ class Ros(ProcessExtension[RosConfig]):
     def notes(cls, config: Any) -> list[str]:
         missing = [name for name in MODULES[config.version] if find_spec(name) is None]
         return [f"{' and '.join(missing)} not installed here: pip install 'skygcs[ros]'"] if missing else []
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def announcement(self) -> str:
         allowed = {"none": "topics only", "setpoints": "topics and setpoints", "all": "topics, setpoints and services"}

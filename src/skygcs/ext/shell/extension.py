@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from skygcs.core.mavlink.frame import Frame
     from skygcs.links.base import Channel
     from skygcs.rpc.context import Context, JsonObject, Services
-    from skygcs.rpc.dispatch import Method
     from skygcs.runtime.vehicle_actor import VehicleActor
 
 MESSAGE = "SERIAL_CONTROL"
@@ -63,6 +62,7 @@ class Shell(Extension[ShellConfig]):
     """One session for each vehicle at most."""
 
     Config = ShellConfig
+    own_methods = METHODS
 
     def __init__(self, core: Services, config: ShellConfig) -> None:
         super().__init__(core, config)
@@ -82,9 +82,6 @@ class Shell(Extension[ShellConfig]):
         if not fleet.daemon.keep_vehicles:
             return [Problem(("shell",), "needs vehicles: set daemon.keep_vehicles = true")]
         return []
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
 
     def clocks(self) -> Iterable[Clock]:
         yield Clock("shell", PERIOD_S, lambda: self.tick(self.core.now()))

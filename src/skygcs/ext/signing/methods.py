@@ -3,7 +3,6 @@ is sent over RPC, only its file name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import cast
 
@@ -123,9 +122,8 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class SigningMethods(Extension[NoTable]):
+    own_methods = METHODS
+
     def __init__(self, core: Services, config: NoTable) -> None:
         super().__init__(core, config)
         self.setup = SigningSetup(core)
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -192,5 +191,4 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Trajectories(Extension[NoTable]):
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS
+    own_methods = METHODS

@@ -3,7 +3,6 @@ called."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import cast
 
 from pydantic import Field
@@ -74,10 +73,9 @@ METHODS: tuple[Method[Context], ...] = (
 
 
 class Undo(Extension[NoTable]):
+    own_methods = METHODS
+
     def __init__(self, core: Services, config: NoTable) -> None:
         super().__init__(core, config)
         fleet = core.fleet
         self.orders = UndoOrders(fleet.journal, fleet.vehicles, core.now, fleet.disk, core.event_log.publish)
-
-    def methods(self) -> Iterable[Method[Context]]:
-        return METHODS

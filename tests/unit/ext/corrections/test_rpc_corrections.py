@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from skygcs.ext.corrections.methods import MAX_DATA_CHARS, CorrectionsParams, corrections_send
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.rpc.links import MAX_DATA_CHARS, CorrectionsParams, corrections_send
 from support.fake_daemon import FakeDaemon
 from support.table import each
 

@@ -11,7 +11,7 @@ import pytest
 from skygcs.core.radio_link.corrections import MAX_TYPES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import RefusedError
-from skygcs.runtime.correction_feed import MAX_RECENT, MESSAGE_BURST, MESSAGES_PER_S, RATE_S, CorrectionFeed
+from skygcs.ext.corrections.correction_feed import MAX_RECENT, MESSAGE_BURST, MESSAGES_PER_S, RATE_S, CorrectionFeed
 from support.frames import dialect
 from support.rtcm import STANDARD_1005, rtcm_frame
 
