@@ -14,7 +14,7 @@ from support.source_trees import SRC, source_files, tree_of
 MAX_FUNCTION_LINES = 60
 """A function fits a screen."""
 
-MOST_FILES_OF_A_DAEMON = 219
+MOST_FILES_OF_A_DAEMON = 210
 """Files that a daemon may import whose fleet file has no extension's table; 190 are wanted. It is only ever lowered."""
 
 NO_BEGINNING = {"Of", "As", "For", "What", "Whether", "Who"}

@@ -10,8 +10,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field
 
 from skygcs.config.files import open_regular
 from skygcs.config.tables import Model
-from skygcs.core.radio_link.capacity import AirTiming
-from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.capacity import AirTiming, RadioRates
 from skygcs.core.radio_link.stream_rates import rate_problem
 from skygcs.errors import ConfigError
 from skygcs.spelling import parse_toml

@@ -13,8 +13,9 @@ from skygcs.core.mavlink.frame import CRC_BYTES, HEADER_V2_BYTES, SIGNATURE_BYTE
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, GPS_RTCM_DATA, PARAM_VALUE
 from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecision, ThirdPartyRules, ThirdPartyTraffic
 from skygcs.core.radio_link.admission_frames import Kind, ThirdPartyFrame
+from skygcs.core.radio_link.capacity import RadioRates
 from skygcs.core.radio_link.corrections import Corrections
-from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
+from skygcs.core.radio_link.pacing import Pacer, report_of
 from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority, TxQueue
 from skygcs.core.routing.source_statistics import RADIO_SOURCE
 from skygcs.core.token_bucket import TokenBucket

@@ -15,8 +15,7 @@ from skygcs.config.param_sets import load_param_set
 from skygcs.config.radio import EmulatedRadio, RadioKeys, measured_timing
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.radio_link.capacity import BITS_PER_BYTE
-from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.capacity import BITS_PER_BYTE, RadioRates
 from skygcs.core.radio_link.transmit_queue import Outgoing, Priority
 from skygcs.errors import ConfigError, LinkError
 from skygcs.links.base import Channel, Link, LinkHost

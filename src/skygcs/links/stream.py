@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from skygcs.core.radio_link.admission import ThirdPartyRules
-from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.capacity import RadioRates
 from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority, TxQueue
 from skygcs.core.routing.peer_places import PARK_S, GarbageGauge
 from skygcs.links.base import Channel, Link

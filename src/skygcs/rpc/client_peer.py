@@ -20,10 +20,10 @@ from typing import Any, NamedTuple, cast
 
 import structlog
 
+from skygcs.rpc.address import still_reads
 from skygcs.rpc.error_codes import INVALID_REQUEST
 from skygcs.rpc.json_lines import LineBuffer, LineTooLong, notification
 from skygcs.rpc.replies import encode, error_reply
-from skygcs.rpc.unix_socket import still_reads
 
 HIGH_WATER_BYTES = 256 * 1024
 """Beyond this much unread output a client gets no telemetry, and no further request of its own is read."""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import structlog
 
 from skygcs.errors import LinkError, explain_address_error
-from skygcs.rpc.unix_socket import UnixSocket
+from skygcs.rpc.address import UnixSocket
 
 if TYPE_CHECKING:  # pydantic and its models are heavy: see above
     from skygcs.rpc.context import JsonObject, Services

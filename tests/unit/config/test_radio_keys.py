@@ -9,7 +9,8 @@ import pytest
 from skygcs.config.loader import load_fleet, parse_link
 from skygcs.config.models import SerialLinkConfig
 from skygcs.config.radio import radio_rates
-from skygcs.core.radio_link.pacing import Pacer, RadioRates
+from skygcs.core.radio_link.capacity import RadioRates
+from skygcs.core.radio_link.pacing import Pacer
 from skygcs.errors import ConfigError
 from support.table import each
 

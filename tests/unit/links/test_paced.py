@@ -13,8 +13,8 @@ from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.admission import ThirdPartyRules
+from skygcs.core.radio_link.capacity import RadioRates
 from skygcs.core.radio_link.corrections import fragments_of
-from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Outgoing, OwnMessage, Priority, TxQueue
 from skygcs.links.paced import AirBudget, flow_of, third_party_rules, wire_bytes
 from skygcs.links.serial import SerialLink

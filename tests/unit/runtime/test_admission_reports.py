@@ -8,7 +8,7 @@ from typing import Any, cast
 from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.radio_link.admission import ThirdPartyRules
-from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.capacity import RadioRates
 from skygcs.core.radio_link.transmit_queue import OwnMessage, Priority, TxQueue
 from skygcs.events import Event
 from skygcs.links.paced import AirBudget

@@ -15,7 +15,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-from skygcs.core.radio_link.capacity import SLOT_BYTES, AirTiming, assumed_timing, uplink_bytes_per_s
+from skygcs.core.radio_link.capacity import RadioRates
 
 BUFFER_BYTES = 1850
 """Size of an SiK radio's transmit buffer (ArduPilot/SiK serial.c; 1024 on its Si1030 boards, RFD900x unknown). A
@@ -92,45 +92,6 @@ def report_of(fields: dict[str, Any], now: float) -> RadioReport:
         min(int(fields["txbuf"]), 100) / 100,
         *(int(fields[name]) for name in ("rssi", "remrssi", "noise", "remnoise", "rxerrors", "fixed")),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class RadioRates:
-    """Rates of a radio known beforehand. ``air_kbps`` None: nothing of its air, so no timeslots are counted."""
-
-    baud: int = 57600
-    air_kbps: float | None = None
-    nodes: int | None = None
-    """Nodes of a multipoint network with the ground's; None: the vehicles that are heard, and the ground."""
-    duty_cycle: float = 1.0
-    """Part of its time in which the radio may send."""
-    uplink_share: float | None = None
-    """Instead of HALF_DUPLEX_SHARE of the serial rate or SLOT_SHARE of the slot."""
-    measured: AirTiming | None = None
-    """Measured timing at this air speed; None: it is assumed."""
-
-    @property
-    def timing(self) -> AirTiming | None:
-        """Timeslots of the air, measured if they were; None: nothing is known of it."""
-        return None if self.air_kbps is None else self.measured or assumed_timing(self.air_kbps)
-
-    @property
-    def slot_bytes(self) -> float:
-        """Bytes that a node sends in its slot."""
-        return SLOT_BYTES if (timing := self.timing) is None else timing.slot_bytes
-
-    def base_bytes_per_s(self, vehicles: int) -> float:
-        """Return what may go up with so many vehicles behind it while the radio reports nothing else."""
-        nodes = self.node_count(vehicles)
-        return uplink_bytes_per_s(self.baud, self.timing, nodes, self.uplink_share) * self.duty_cycle
-
-    def node_count(self, vehicles: int) -> int:
-        """Nodes of the network, never fewer than are heard."""
-        return max(self.nodes or 2, vehicles + 1, 2)
-
-    def round_s(self, vehicles: int) -> float | None:
-        """Until the ground may send again; None without timeslots."""
-        return None if (timing := self.timing) is None else timing.round_s(self.node_count(vehicles))
 
 
 class Pacer:

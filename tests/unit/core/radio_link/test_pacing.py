@@ -8,14 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.radio_link.capacity import SLOT_BYTES, round_s
+from skygcs.core.radio_link.capacity import SLOT_BYTES, RadioRates, round_s
 from skygcs.core.radio_link.pacing import (
     BUFFER_BYTES,
     HISTORY,
     LEAST_SHARE,
     STALE_AFTER_S,
     Pacer,
-    RadioRates,
     RadioReport,
     report_of,
 )

@@ -18,9 +18,9 @@ import structlog
 from skygcs.ext.federation.bridge.station_client import StationClient
 from skygcs.ext.federation.bridge.station_services import StationServices
 from skygcs.rpc import error_codes
+from skygcs.rpc.address import UnixSocket
 from skygcs.rpc.dispatch import Dispatcher, Method
 from skygcs.rpc.replies import error_reply
-from skygcs.rpc.unix_socket import UnixSocket
 
 IN_USE = "another process of skygcs federation listens on {path}; stop it, or give this one another --socket"
 
