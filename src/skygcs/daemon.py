@@ -110,7 +110,7 @@ class Daemon:
         self.links.loss_refusal = self.fleet.link_loss_refusal
         reports = RouteReports(self.fleet, publish, own.route_timeout_s)
         self.hub.connect(self.fleet if own.keep_vehicles else None, reports)
-        self.air = Radios(own, self.hub, self.fleet, self.link_watch, publish)
+        self.air = Radios(config, self.hub, self.fleet, self.link_watch, publish)
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, publish)
         dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
         self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)

@@ -95,6 +95,17 @@ async def test_two_bases_at_a_time_are_refused(tmp_path: Path) -> None:
         assert (await send(gcs, STANDARD_1005, source="roof"))["messages"] == 1
 
 
+async def test_half_a_message_of_before_a_standstill_is_not_continued(tmp_path: Path) -> None:
+    """Without the table the feed is made by the first call; the daemon's standstills reach it all the same."""
+    async with on_the_ground(tmp_path) as gcs:
+        await send(gcs, STANDARD_1005[:10])
+        gcs.daemon.extensions.woke("the process stood still")
+        assert (await send(gcs, STANDARD_1005[10:]))["messages"] == 0
+        assert (await send(gcs, STANDARD_1005))["messages"] == 1
+        with pytest.raises(RefusedError, match=r"no table \[corrections\]"):
+            await gcs("corrections.survey")
+
+
 async def test_what_no_link_takes_is_told(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
         await gcs.daemon.links.remove("air")

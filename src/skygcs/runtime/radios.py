@@ -1,6 +1,7 @@
 """The parts that only radios need: the plan of their streams, and reports of what they do not carry of other programs.
 
-They are imported at the first tick that finds a channel into a radio; before it there is nothing to plan or report.
+They are imported with the daemon if its fleet file has a radio, else at the first tick that finds a channel into one;
+before it there is nothing to plan or report.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from skygcs.config.models import DaemonConfig
+from skygcs.config.models import FleetConfig
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -23,9 +24,9 @@ class Radios:
     """Call `tick` once a second and `step` some ten times a second."""
 
     def __init__(
-        self, own: DaemonConfig, hub: Hub, fleet: Fleet, watch: LinkWatch, on_event: Callable[[Event], None]
+        self, config: FleetConfig, hub: Hub, fleet: Fleet, watch: LinkWatch, on_event: Callable[[Event], None]
     ) -> None:
-        self._own = own
+        self._own = config.daemon
         self._hub = hub
         self._fleet = fleet
         self._watch = watch
@@ -33,17 +34,13 @@ class Radios:
         self._selected: set[int] = set()
         self._planner: AirPlanner | None = None
         self._reports: AdmissionReports | None = None
+        if any(link.role == "radio" or link.type == "xbee" for link in config.links.values()):
+            self._make()
 
     def tick(self, now: float) -> None:
         """Plan anew after changes, and report what was not carried since the last call."""
         if self._planner is None and any(c.air is not None or c.link.shares_air for c in self._hub.channels.values()):
-            from skygcs.runtime.admission_reports import AdmissionReports
-            from skygcs.runtime.air_planner import AirPlanner
-
-            dialect = self._hub.dialect
-            self._reports = AdmissionReports(self._hub, self._own, dialect, self._on_event)
-            self._planner = AirPlanner(self._hub, self._fleet, self._watch, dialect, self._on_event)
-            self._planner.select(self._selected)
+            self._make()
         if self._planner is not None and self._reports is not None:
             self._reports.tick(now)
             self._planner.tick(now)
@@ -66,3 +63,12 @@ class Radios:
     def radios(self, now: float) -> list[dict[str, Any]]:
         """`status` without the single vehicles, what others send, and the history."""
         return [] if self._planner is None else self._planner.radios(now)
+
+    def _make(self) -> None:
+        from skygcs.runtime.admission_reports import AdmissionReports
+        from skygcs.runtime.air_planner import AirPlanner
+
+        dialect = self._hub.dialect
+        self._reports = AdmissionReports(self._hub, self._own, dialect, self._on_event)
+        self._planner = AirPlanner(self._hub, self._fleet, self._watch, dialect, self._on_event)
+        self._planner.select(self._selected)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.models import DaemonConfig
+from skygcs.config.models import FleetConfig
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.radios import Radios
 from support.frames import dialect
@@ -20,7 +20,7 @@ def test_a_selection_of_before_the_first_radio_counts_when_it_opens(monkeypatch:
     hub: Any = SimpleNamespace(channels={1: wire}, dialect=dialect())
     fleet: Any = SimpleNamespace(vehicles={})
     watch: Any = None
-    radios = Radios(DaemonConfig(), hub, fleet, watch, lambda event: None)
+    radios = Radios(FleetConfig(), hub, fleet, watch, lambda event: None)
     radios.select({257})
     radios.tick(0.0)
     radios.step(0.1)
