@@ -10,7 +10,6 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,11 +21,11 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import sign, timestamp_at
 from skygcs.daemon import Daemon
 from skygcs.links.udp import UdpServerLink
-from skygcs.rpc.methods import METHODS
 from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from skygcs.sim.vehicle_state import TICK_S
+from support.called import call
 from support.daemons import made_daemon
 from support.pymav import PymavPeer
 from support.virtual_uvloop import VirtualUvloop
@@ -100,12 +99,8 @@ class Port:
         self.peer.sendto(self.forger.pack(message), self.address)
 
     async def outcome(self, method: str, **params: Any) -> dict[str, Any]:
-        found = METHODS[method]
-        context: Any = SimpleNamespace(services=self.daemon, reports=None)
-        answer = found.handler(context, found.params.model_validate({"targets": "v1", **params}))
-        assert asyncio.iscoroutine(answer)
-        (outcome,) = (await answer).values()
-        return dict(outcome.as_dict())
+        (outcome,) = (await call(self.daemon, method, targets="v1", **params))["outcomes"].values()
+        return dict(outcome)
 
     def state(self) -> dict[str, Any]:
         return self.daemon.fleet.find("v1").state(self.daemon.now())
