@@ -415,6 +415,11 @@ class OffboardEngagement:
         raised = self._streams.raise_position_rate(controller.wanted, new_link=True)
         self._tasks.start(raised, "position rate on another link")
 
+    def heard_again(self) -> None:
+        """It was lost: what it did not get then of the rates that it is to go back to is requested again."""
+        if not self.controller.active:
+            self._streams.restore()
+
     def refresh_budget(self) -> None:
         """Fly as many attitude setpoints a second as the link can carry now; see `ControlTuning.share_link`."""
         self._tuning.share_link(self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown))

@@ -34,9 +34,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
+from functools import partial
 from typing import Literal
 
 from skygcs.core.monitor.conflict_levels import COMING_HOME
@@ -345,7 +346,7 @@ class Returns:
         return found
 
     def _go_on(self, waits: Waiting) -> Outcome:
-        """It flies on where it was sent, and holds later (`_hold_later`)."""
+        """It flies on where it was sent, and holds later (`_hold_those_that_may`)."""
         actor = waits.actor
         fly = "flies" if len(waits.behind) == 1 else "fly"
         text = (
@@ -367,24 +368,7 @@ class Returns:
         for waits in going:
             late = now - waits.asked_at > GOES_ON_S
             if (late or waits.actor.vehicle.key not in followed) and self._is_current(waits):
-                waits.step = Step.HOLDS
-                self._tasks.start(self._hold_later(waits), f"hold of {waits.actor.name}", waits.serial)
-
-    async def _hold_later(self, waits: Waiting) -> None:
-        """A turn of the loop after it was decided."""
-        if not self._is_ours(waits):
-            waits.step = Step.GOES_ON
-            return
-        outcome = await waits.actor.hold(spares=COMING_HOME)
-        if not self._is_current(waits):
-            return
-        self._ordered(waits, outcome)
-        if outcome.ok:
-            waits.goal_m = None
-        elif outcome.result != "cancelled" and self._is_ours(waits):  # it cannot hold
-            waits.step = Step.LEAVES
-            self._members.leaves_now(waits.actor)
-            await self._leave(waits)
+                self._start(waits, Step.HOLDS, partial(waits.actor.hold, spares=COMING_HOME))
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
         """Drop a vehicle that was to wait but goes home by itself; returns its outcome."""
@@ -582,38 +566,53 @@ class Returns:
                 continue  # it climbs there
             if goal_m is not None and waits.actor.vehicle.failsafe:
                 continue  # its own failsafe may be about to act, and must not be broken off
-            waits.step = Step.LEAVES if goal_m is None else Step.CLIMBS
             if goal_m is None:
-                self._members.leaves_now(waits.actor)
-            work = self._leave(waits) if goal_m is None else self._climb(waits, goal_m)
-            self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
+                self._start(waits, Step.LEAVES, waits.actor.rtl)
+            else:
+                self._start(waits, Step.CLIMBS, partial(self._climb, waits, goal_m))
         if self._members.is_read():  # what was not ordered to return may be ordered away yet
             for_good = self._members.names(self._members.staying)
             stuck = [(key, names) for key, names in decided.stuck.items() if for_good.issuperset(names)]
             self._give_up([(self._waiting[key], names) for key, names in stuck if key in self._waiting])
 
-    async def _leave(self, waits: Waiting) -> None:
-        """A turn of the loop after the decision."""
+    def _start(self, waits: Waiting, step: Step, order: Callable[[], Awaitable[Outcome]]) -> None:
+        """Give this order to one that waits, as a task of its own."""
+        before, waits.step = waits.step, step
+        if step is Step.LEAVES:
+            self._members.leaves_now(waits.actor)
+        self._tasks.start(self._give(waits, before, order), f"return of {waits.actor.name}", waits.serial)
+
+    async def _give(self, waits: Waiting, before: Step, order: Callable[[], Awaitable[Outcome]]) -> None:
+        """A turn of the loop after it was decided. A fault in the order is reported by the task; it is given again, or
+        given up, as one that the vehicle did not take."""
         if not self._is_ours(waits):
-            waits.step = Step.WAITS
+            waits.step = before
             return
-        outcome = await waits.actor.rtl()
-        if not self._is_current(waits):
+        step, outcome = waits.step, Outcome(False, "cancelled", "it failed inside skygcs")
+        try:
+            outcome = await order()
+        finally:
+            if self._is_current(waits):
+                self._ended(waits, step, outcome)
+
+    def _ended(self, waits: Waiting, step: Step, outcome: Outcome) -> None:
+        """The order of a step has ended; it is the one of this return that counts."""
+        if step is Step.LEAVES and outcome.ok:
+            self._gone(waits)
+            return
+        self._ordered(waits, outcome)
+        if step is not Step.HOLDS:
             return
         if outcome.ok:
-            self._gone(waits)
-        else:
-            self._ordered(waits, outcome)
+            waits.goal_m = None
+        elif outcome.result != "cancelled" and self._is_ours(waits):  # it cannot hold
+            self._start(waits, Step.LEAVES, waits.actor.rtl)
 
-    async def _climb(self, waits: Waiting, goal_m: float) -> None:
-        if not self._is_ours(waits):
-            waits.step = Step.WAITS
-            return
+    async def _climb(self, waits: Waiting, goal_m: float) -> Outcome:
         actor, now = waits.actor, self._loop.time()
         one = self._members.returning(actor, now)
         if one is None or self._members.frame is None:
-            self._ordered(waits, Outcome.refused("its place is not known"))
-            return
+            return Outcome.refused("its place is not known")
         lat_deg, lon_deg, alt_amsl_m = self._members.frame.to_geodetic(*one.here[:2], goal_m)
         home_amsl_m = actor.vehicle.home_alt_amsl_m()
         over = [name for name in waits.told if name not in {other.actor.name for other in self._waiting.values()}]
@@ -630,7 +629,7 @@ class Returns:
         finally:
             self._monitor.ways.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
         waits.goal_m = goal_m if outcome.ok else None
-        self._ordered(waits, outcome)
+        return outcome
 
     def _ordered(self, waits: Waiting, outcome: Outcome) -> None:
         """An order to one that goes on waiting has ended. A climb whose answer did not come may have changed the mode

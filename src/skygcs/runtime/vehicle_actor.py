@@ -8,7 +8,6 @@ when a landing is ordered.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +31,7 @@ from skygcs.core.vehicle.flight_lock import RateChange
 from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
-from skygcs.core.vehicle.order_ledger import ClientIdentity, StreamOwner
+from skygcs.core.vehicle.order_ledger import ClientIdentity, StreamOwner, may_have_effect
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import Action
 from skygcs.core.vehicle.raw_setpoint import raw_from_world
@@ -496,14 +495,21 @@ class VehicleActor:
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """Set a message rate; 0 turns it off, None restores the vehicle's own rate. skygcs then requests no other
         rate."""
-        with contextlib.suppress(RefusedError):
-            name = orders.find_message(self._dialect, message)[1]
-            if (why := self.services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
-                return self.refuse("interval", why)
-            self.streams.leave(name)
-        return await self.runner.run(
-            "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
-        )
+        outcome: Outcome | None = None
+        try:
+            _, name = orders.find_message(self._dialect, message)
+        except RefusedError as error:
+            return self.refuse("interval", str(error))
+        if (why := self.services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
+            return self.refuse("interval", why)
+        try:
+            outcome = await self.runner.run(
+                "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
+            )
+        finally:
+            if may_have_effect(outcome):
+                self.streams.leave(name)
+        return outcome
 
     async def request_message(self, message: str | int) -> Outcome:
         """Request one message; the outcome is ok once it has come (read it with `latest`)."""
@@ -715,6 +721,8 @@ class VehicleActor:
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
+            elif event.kind == "vehicle_back":
+                self.offboard.heard_again()
             elif event.kind == "reboot":
                 self.commands.stop(mav_cmd.PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self._stop_protocols("the vehicle rebooted")

@@ -955,6 +955,8 @@ async def test_message_intervals_are_microseconds(ground: Ground) -> None:
         outcome = await actor.set_message_interval("attitude", rate_hz)
         assert (outcome.ok, outcome.message) == (True, said)
         assert vehicle.commands()[-1] == (511, (30.0, interval_us))
+    assert (await actor.set_message_interval("GPS_RAW_INT", -1.0)).result == "refused"
+    assert [actor.streams.is_left(name) for name in ("ATTITUDE", "GPS_RAW_INT")] == [True, False]
 
 
 async def test_a_stream_request_is_sent_once_without_acknowledgement(ground: Ground) -> None:
