@@ -438,7 +438,14 @@ class VehicleActor:
                 raise RefusedError(why)
             return plan
 
-        outcome = await self.runner.retry("takeoff", planner, wait_s)
+        ledger, before = self.runner.ledger, self.runner.ledger.effective
+        try:
+            outcome = await self.runner.retry("takeoff", planner, wait_s)
+        except asyncio.CancelledError:
+            if ledger.effective > before and ledger.effective_order == "takeoff" and not self._closed:
+                sent = Outcome(True, "cancelled", "", order_number=ledger.effective)
+                self.takeoffs.begin(sent, self.vehicle.takeoff.alt_amsl_m, height, engage=False)  # it may climb
+            raise
         self.takeoffs.begin(outcome, self.vehicle.takeoff.alt_amsl_m, height, engage=engage)
         return outcome
 

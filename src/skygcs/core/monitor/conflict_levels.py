@@ -56,6 +56,12 @@ LANDING = frozenset({"AUTO.LAND", "AUTO.PRECLAND", "LAND", "TERMINATION"})
 
 COMING_HOME = LANDING | {"AUTO.RTL", "AUTO.RTGS", "RTL", "SMART_RTL", "AUTO_RTL"}
 
+LANDING_ORDERS = frozenset({"land", "stop"})
+"""Orders that may bring it down where it is, from the moment they are sent."""
+
+HOMING_ORDERS = LANDING_ORDERS | {"rtl"}
+"""The same, and those that bring it home."""
+
 
 def why_not_yield(track: Track, now: float) -> str | None:
     """Why this vehicle is not ordered to hold; None if it may be."""
