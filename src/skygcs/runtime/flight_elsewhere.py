@@ -120,7 +120,7 @@ class FlightElsewhere(Protocol):
     def flying(self) -> bool: ...
     @property
     def may_send(self) -> bool:
-        """True if setpoints may still come to the vehicle, as far as is known."""
+        """True if another program's setpoints may still come to the vehicle, as far as is known."""
         ...
 
     @property

@@ -312,10 +312,7 @@ class VehicleActor:
         self.streams.tick(now)
         for part in self._parts.values():
             part.tick(now)
-        if not isinstance(self.offboard, OffboardEngagement):
-            self.offboard.watch(now)
-        elif self.offboard.controller.active:
-            self.offboard.refresh_budget()
+        self.offboard.watch(now)
         if self.vehicle.replayed:
             return
         self.unattended.tick(now, self.authority_refusal())
@@ -596,7 +593,7 @@ class VehicleActor:
             checked = self._checked(valid_s, program, **wanted)
             if isinstance(checked, Outcome):
                 return checked
-            if take_over and not isinstance(self.offboard, OffboardEngagement):
+            if take_over:
                 self.offboard.insist()
             return checked()
 
@@ -674,9 +671,8 @@ class VehicleActor:
     def _plan_hold(self, now: float) -> Plan:
         """An ArduCopter holds in GUIDED, in which it obeys a setpoint that its companion sends before it knows of the
         hold: then it stays in BRAKE."""
-        if not isinstance(self.offboard, OffboardEngagement) and self.offboard.may_send:
-            return orders.brake(self.vehicle, now)
-        return orders.hold(self.vehicle, now)
+        hold = orders.brake if self.offboard.may_send else orders.hold
+        return hold(self.vehicle, now)
 
     async def _switched_off(self) -> Outcome:
         outcome = await self.runner.attempt(self._plan_hold, reason="switched off")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from skygcs.core.geo import distance_m
@@ -274,4 +274,3 @@ class Plan:
     despite_duplicate: bool = False
     force: bool = False
     spares: frozenset[str] = frozenset()
-    data: Mapping[str, Any] = field(default_factory=dict)
