@@ -1,9 +1,9 @@
 """Brings vehicles home that are ordered to return: those whose ways conflict leave one after another.
 
 Who leaves, climbs or waits is decided by `core.monitor.departures`; here the decision meets orders, telemetry and time.
-Vehicles that are not ordered to return are in the way where they are, are sent and fly to; one that comes home by
-itself has a way of its own. A single vehicle waits only if something is in its way, and leaves when it is ordered
-again. One that has to return is, of `Step`:
+A vehicle that is not ordered to return is in the way where it is, and on its way to where it was sent; one that comes
+home by itself has a way of its own. A single vehicle waits only if something is in its way, and leaves when it is
+ordered again. The steps of one that has to return (`Step`):
 
     step     what it does                            next
     ------   -------------------------------------   -------------------------------------------------------------
@@ -15,7 +15,8 @@ again. One that has to return is, of `Step`:
     LEAVES   its return is being sent; the others    on its way; WAITS, if it did not take that and has waited
              stay clear of its way, not its place    before
 
-It is left to whatever else has taken it, in WAITS and before each order, and its way or its place is kept free:
+In WAITS, and before each order, it may turn out that something else has taken it. Then it is left to that, and its way
+or its place is kept free:
 
     another order that went out, not refused by it   taken; meanwhile nothing is ordered
     another order that it refused                    goes on; so it does after a hold of the daemon's own, after a pause
@@ -27,7 +28,7 @@ It is left to whatever else has taken it, in WAITS and before each order, and it
     the daemon ends, or stood still                  goes on holding
 
 One that is not heard counts where it was, and on its way home. After a fault in the decision they return one at a time:
-with nothing known of them that moves the fewest at once. Whatever ends a wait is an event of order "rtl".
+nothing is known of their ways. Each end of a wait is an event of order "rtl".
 """
 
 from __future__ import annotations
@@ -170,7 +171,7 @@ class Returns:
     async def begin(
         self, actors: Sequence[VehicleActor], serial: int, *, at_end: AtEnd = "hold"
     ) -> dict[VehicleActor, Waiting]:
-        """Decide who of these has to wait. Those that are returned are to be given to `carry_out` now, and to `run`
+        """Decide which of these have to wait. Those that are returned are to be given to `carry_out` now, and to `run`
         afterwards; the others are to be ordered to return now. Orders to return are decided in the order in which they
         came, so that the last one counts. ``at_end``: what those do whose way does not become clear. After a fault here
         each returns at once."""

@@ -200,7 +200,7 @@ class VehicleActor:
         return bool(self._closed)
 
     def part(self, kind: Callable[[VehicleActor], P]) -> P:
-        """Return what an extension keeps for this vehicle: the one of this class, made when it is first asked for."""
+        """The part of this class that an extension keeps for this vehicle, made when it is first asked for."""
         part = self._parts.get(kind)
         if part is None:
             part = self._parts[kind] = kind(self)
@@ -615,7 +615,7 @@ class VehicleActor:
         force: bool = False,
         **raw: Any,
     ) -> Outcome | Callable[[], Outcome]:
-        """Return what follows a setpoint, or its refusal. ``raw``: see `raw_setpoint.raw_from_world`; also an
+        """A function that follows a setpoint, or its refusal. ``raw``: see `raw_setpoint.raw_from_world`; also an
         acceleration alone. ``force``: although it leads too close to another vehicle."""
         # a raw setpoint of the user's own controller, or a reference
         origin = self.vehicle.origin

@@ -251,7 +251,7 @@ class VehicleWays:
         return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(now))
 
     def mover(self, vehicle: Vehicle) -> Mover | None:
-        """The same, with its motion: how it brakes and turns before it flies there."""
+        """`unmoved` with its motion: how it brakes and turns before it flies there."""
         mover, (position, at) = self.unmoved(vehicle), vehicle.timed_telemetry("position")
         if mover is None or position is None or at is None:
             return None
@@ -413,7 +413,7 @@ class VehicleWays:
         return ways
 
     def _begins_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
-        """The same, but for missions."""
+        """`begins` without missions."""
         order, home = actor.runner.ledger.newest_in_progress, actor.vehicle.telemetry("home")
         known = order in HOMING_ORDERS and actor.vehicle.mode not in COMING_HOME and self._hovers(track)
         if not known or home is None:

@@ -215,7 +215,7 @@ class TargetProof:
     """In place of the step's command when it is repeated: one that a vehicle in another mode denies."""
 
     def begin(self, vehicle: Vehicle, now: float) -> GoesThere:
-        """Return what it has to show from now on."""
+        """The expectation that it has to meet from now on."""
         there = GoesThere(self.lat_deg, self.lon_deg, self.alt_amsl_m, now, math.inf)
         position = vehicle.telemetry("position")
         if position is None or position["lat_deg"] is None:
