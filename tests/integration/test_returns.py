@@ -9,6 +9,7 @@ from unittest import mock
 import pytest
 
 from skygcs.runtime import returns
+from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
 from support.flown import GOING_HOME, Flown, aloft, flown
@@ -300,6 +301,19 @@ async def test_a_fault_in_the_decision_brings_them_home_one_at_a_time(
         await all_down(gcs)
         (text,) = faults(gcs)
         assert "they return one at a time" in text
+
+
+async def test_a_fault_in_the_order_to_one_that_waited_keeps_it_in_the_air_no_longer_than_the_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It held for good, and nobody was told."""
+    async with aloft(tmp_path, ardupilot=2) as gcs:
+        await swapped(gcs)
+        await gcs("vehicles.rtl", targets="all")
+        with monkeypatch.context() as faulty:
+            faulty.setattr(VehicleActor, "rtl", mock.AsyncMock(side_effect=ZeroDivisionError("of a test")))
+            await gcs.until(lambda: faults(gcs), 60.0)
+        await all_down(gcs)
 
 
 async def test_a_fault_before_the_decision_sends_each_home_by_itself(

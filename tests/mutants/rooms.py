@@ -92,6 +92,23 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
         "core/vehicle/shared_ids.py": ("core/vehicle/test_shared_ids.py",),
         "back_off.py": ("test_back_off.py",),
     },
+    "order-ledger": {
+        "core/vehicle/order_ledger.py": ("core/vehicle/test_order_ledger.py",),
+        "runtime/command_client.py": ("runtime/test_command_client.py", "runtime/test_vehicle_actor.py"),
+        "runtime/entry_conditions.py": ("runtime/test_entry_conditions.py", "runtime/test_offboard_engagement.py"),
+        "runtime/onboard_orders.py": ("runtime/test_mission_transfers.py",),
+    },
+    "monitor": {
+        "core/monitor/monitor.py": ("core/monitor/test_monitor.py",),
+        "core/monitor/conflict_levels.py": ("core/monitor/test_monitor.py", "core/monitor/test_approach.py"),
+        "core/monitor/approach.py": ("core/monitor/test_approach.py", "core/monitor/test_monitor.py"),
+        "core/monitor/tracks.py": ("core/monitor/test_monitor.py",),
+        "core/monitor/mission_ways.py": ("core/monitor/test_mission_ways.py",),
+    },
+    "companions": {
+        "ext/companions/tls.py": ("ext/companions/test_identity.py", "ext/companions/test_tls_orders.py"),
+        "ext/companions/ground_contact.py": ("ext/companions/test_ground_contact.py",),
+    },
     "unattended": {
         "core/vehicle/unattended.py": ("core/vehicle/test_unattended.py", "runtime/test_unattended_holds.py"),
         "runtime/unattended_holds.py": ("runtime/test_unattended_holds.py",),

@@ -345,7 +345,7 @@ class AirPlanner:
         self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.link.name}))
 
     def _down_of(self, radio: _Radio) -> dict[str, float]:
-        """Return what comes down from all vehicles of a radio."""
+        """The downlink of all vehicles of a radio: budget, plan and measure."""
         total, each = radio.budget
         planned = sum(plan_bytes_per_s(rates, self._bytes) for rates in radio.planned.values())
         return {

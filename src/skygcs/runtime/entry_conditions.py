@@ -23,13 +23,16 @@ Where a radio's stream plan sets the rates, it is asked for the position's, and 
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Mapping
 
 from skygcs.config.control import ControlSettings
 from skygcs.core.control.guard import ControlMode
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.stream_rates import POSITION, intended_rate
 from skygcs.core.vehicle import offboard_entry, orders
+from skygcs.core.vehicle.order_ledger import REFUSALS
 from skygcs.core.vehicle.origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -137,6 +140,9 @@ class ControlStreams:
         self._before_hz = configured_hz.get(POSITION, 0.0)
         """The position's rate before it was raised: an own 5 Hz of PX4, or what a program asked for."""
         self._raised = False
+        self._owed_hz: dict[str, float] = {}
+        """Rates to which messages are to go back, until the vehicle has answered."""
+        self._restoring: asyncio.Task[None] | None = None
         self._restored_at = -math.inf
         self._aids_before_hz: dict[str, float] = {}
         """Rates of the messages that are requested for attitude, from before."""
@@ -148,7 +154,8 @@ class ControlStreams:
         if self._streams.want_position(rate_hz) or rate_hz is None:
             return
         now = self._loop.time()
-        if not self._raised and now - self._restored_at > RATE_SETTLES_S:
+        owed = self._owed_hz.pop(POSITION, None) is not None
+        if not self._raised and not owed and now - self._restored_at > RATE_SETTLES_S:
             slot = self._vehicle.slot(POSITION)
             measured_hz = 0.0 if slot is None or new_link else slot.rate_hz
             self._before_hz = max(intended_rate(measured_hz), self._configured_hz.get(POSITION, 0.0))
@@ -161,10 +168,13 @@ class ControlStreams:
             return
         wanted: dict[str, float] = {}
         for name, rate_hz in ATTITUDE_AIDS_HZ.items():
-            slot = self._vehicle.slot(name)
-            before_hz = 0.0 if slot is None else slot.rate_hz
-            if name not in self._aids_before_hz and name in self._dialect.by_name and before_hz < rate_hz:
-                self._aids_before_hz[name] = max(intended_rate(before_hz), self._configured_hz.get(name, 0.0))
+            slot, owed_hz = self._vehicle.slot(name), self._owed_hz.pop(name, None)
+            measured_hz = 0.0 if slot is None else slot.rate_hz
+            if name in self._aids_before_hz or name not in self._dialect.by_name:
+                continue
+            if owed_hz is not None or measured_hz < rate_hz:
+                before_hz = max(intended_rate(measured_hz), self._configured_hz.get(name, 0.0))
+                self._aids_before_hz[name] = before_hz if owed_hz is None else owed_hz
                 wanted[name] = rate_hz
         if wanted:
             self._tasks.start(self._request_all(wanted), "attitude rate")
@@ -175,20 +185,35 @@ class ControlStreams:
         self._tasks.start(self._request_origin(), "estimator origin")
 
     def restore(self) -> None:
-        """Control has ended, or did not begin: request the earlier rates again, in the background. Idempotent."""
-        if not self._streams.want_position(None) and self._vehicle.connected and self._raised:
+        """Control has ended, did not begin, or the vehicle is heard again: request the earlier rates again, in the
+        background, until it answers. Idempotent."""
+        if not self._streams.want_position(None) and self._raised:
+            self._owed_hz[POSITION] = self._before_hz
             self._raised, self._restored_at = False, self._loop.time()
-            self._tasks.start(self._request(POSITION, self._before_hz or None), "position rate")
-        before, self._aids_before_hz = self._aids_before_hz, {}
-        if before and self._vehicle.connected and not self._streams.planned:
-            self._tasks.start(self._request_all(before), "attitude rate")
+        self._owed_hz |= self._aids_before_hz
+        self._aids_before_hz = {}
+        if self._streams.planned:
+            self._owed_hz.clear()
+        if self._owed_hz and self._vehicle.connected and (self._restoring is None or self._restoring.done()):
+            self._restoring = self._tasks.start(self._restore_owed(), "rates from before control")
+
+    async def _restore_owed(self) -> None:
+        asked: set[str] = set()
+        while names := self._owed_hz.keys() - asked:
+            name = min(names)
+            asked.add(name)
+            rate_hz = self._owed_hz[name]
+            outcome = await self._request(name, rate_hz or None)
+            if (outcome.ok or outcome.result in REFUSALS) and self._owed_hz.get(name) == rate_hz:
+                del self._owed_hz[name]
+                asked.discard(name)
 
     async def _request_all(self, rates_hz: Mapping[str, float]) -> None:
         for name, rate_hz in rates_hz.items():
             await self._request(name, rate_hz or None)
 
-    async def _request(self, name: str, rate_hz: float | None) -> None:
-        await self._orders.attempt_in_control(
+    async def _request(self, name: str, rate_hz: float | None) -> Outcome:
+        return await self._orders.attempt_in_control(
             lambda now: orders.message_interval(self._vehicle, now, self._dialect, name, rate_hz)
         )
 

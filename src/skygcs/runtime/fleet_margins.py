@@ -36,7 +36,7 @@ def margin_rule(
 
 
 def uncertainty(actor: VehicleActor) -> Uncertainty:
-    """Return what is known of one vehicle, and where each value comes from."""
+    """The known margins of one vehicle, each with its source."""
     known: dict[str, Any] = {}
     sources: dict[str, str] = {}
     settings = actor.config.separation

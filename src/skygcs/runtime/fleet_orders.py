@@ -257,7 +257,7 @@ class FleetOrders:
         arguments: dict[str, Any],
         generation: int,
     ) -> dict[str, Outcome]:
-        """`_give` without its client, as a task of its own. Whatever ends it, who asked for it gets an answer."""
+        """`_give` without its client, as a task of its own. The client gets an answer, whatever ends the order."""
         if generation != self._generation:
             given.ended_by = self._closed_by
             self._report_cancelled(actors, given)

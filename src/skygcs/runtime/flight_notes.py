@@ -179,7 +179,7 @@ class ChargeRecords:
         self._charged_at = -math.inf
 
     def record(self, actor: VehicleActor) -> FlightRecord:
-        """Return what is measured of this vehicle's battery in flight."""
+        """The record of this vehicle's battery in flight."""
         key = actor.vehicle.key
         if key not in self._records:
             self._records[key] = self.recalled.pop(key, FlightRecord())

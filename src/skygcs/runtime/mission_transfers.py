@@ -510,11 +510,17 @@ class Missions:
         of = f" of {count}" if count else ""
         self._publish("mission", f"reached item {number}{of}", {"reached": number, "count": count})
 
-    def run_begins(self, first: int | None = None) -> None:
+    def run_begins(self, first: int | None = None) -> Callable[[], None]:
         """It is ordered to fly its mission from item ``first`` on, or from the current one: what was reached before
-        counts no more."""
-        self._progress = Progress(first)
-        self._current = b""
+        counts no more. Call what is returned if it does not take the order: the run before goes on."""
+        before, begun = self._progress, Progress(first)
+        self._progress, self._current = begun, b""
+
+        def goes_on() -> None:
+            if self._progress is begun:
+                self._progress, self._current = before, b""
+
+        return goes_on
 
     @property
     def complete(self) -> bool:

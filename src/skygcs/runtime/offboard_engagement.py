@@ -166,6 +166,11 @@ class OffboardEngagement:
         return self.controller.active
 
     @property
+    def may_send(self) -> bool:
+        """No other program sends; see `FlightElsewhere.may_send`."""
+        return False
+
+    @property
     def recording(self) -> Path | None:
         """The file its trace goes to now; None: it is not traced."""
         return self._trace.path
@@ -219,7 +224,7 @@ class OffboardEngagement:
             await self._streams.raise_position_rate(control_mode)
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
-            self._check_entry_again()
+            self._conditions.check(self._loop.time(), active=self.controller.active)
             self._begin(control_mode, force=force)
             self._streams.request_aids(control_mode)
         except RefusedError as error:
@@ -322,6 +327,9 @@ class OffboardEngagement:
             self.clock.start()
         return Outcome(True, "accepted", "followed")
 
+    def insist(self) -> None:
+        """Do nothing: the setpoints of other clients come through the same gate; see `FlightElsewhere.insist`."""
+
     async def prepare(self, loaded: LoadedTrajectory) -> str | None:
         """Do nothing: only a flight elsewhere has to be prepared; see `FlightElsewhere.prepare`."""
         return None
@@ -415,6 +423,16 @@ class OffboardEngagement:
         raised = self._streams.raise_position_rate(controller.wanted, new_link=True)
         self._tasks.start(raised, "position rate on another link")
 
+    def heard_again(self) -> None:
+        """It was lost: what it did not get then of the rates that it is to go back to is requested again."""
+        if not self.controller.active:
+            self._streams.restore()
+
+    def watch(self, now: float) -> None:
+        """Called a few times a second."""
+        if self.controller.active:
+            self.refresh_budget()
+
     def refresh_budget(self) -> None:
         """Fly as many attitude setpoints a second as the link can carry now; see `ControlTuning.share_link`."""
         self._tuning.share_link(self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown))
@@ -438,10 +456,6 @@ class OffboardEngagement:
         self._tasks.close()
 
     # -- checks before entry
-
-    def _check_entry_again(self) -> None:
-        """Raises RefusedError if what was true before a wait has changed."""
-        self._conditions.check(self._loop.time(), active=self.controller.active)
 
     def _require_mode(self, back_to: int) -> None:
         """Raises RefusedError if its pilot, or another program, has switched it from this mode."""
@@ -503,7 +517,8 @@ class OffboardEngagement:
         if (ended := await self._settle(control_mode, turn, STREAM_BEFORE_S)) is not None:
             return ended
         try:
-            self._check_entry_again()  # seconds have passed: it may have landed, or be in its failsafe
+            # seconds have passed: it may have landed, or be in its failsafe
+            self._conditions.check(self._loop.time(), active=self.controller.active)
             self._require_mode(back_to)
         except RefusedError as error:
             return Outcome.refused(str(error))

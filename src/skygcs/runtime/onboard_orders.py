@@ -13,7 +13,9 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders
 from skygcs.core.vehicle.flight_lock import FenceListWrite, RallyWrite
+from skygcs.core.vehicle.order_ledger import may_have_effect
 from skygcs.core.vehicle.order_plan import Plan
+from skygcs.runtime.order_runner import Planner
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 # -- lists
@@ -66,30 +68,30 @@ async def start_mission(actor: VehicleActor, *, first: int = 1, arm: bool = True
         actor.require_preflight(force=force)
         return mission_orders.start(actor.vehicle, now, first=first, arm=arm)
 
-    return await actor.runner.run("mission", _new_run(actor, planner, first))
+    return await _new_run(actor, "mission", planner, first)
 
 
 async def resume_mission(actor: VehicleActor, *, force: bool = False) -> Outcome:
     """Go on with the current item; `VehicleActor.hold` pauses a mission. ``force``: also if another
     vehicle is in the way, which the fleet checks."""
-    planner = _new_run(actor, lambda now: mission_orders.resume(actor.vehicle, now))
-    return await actor.runner.run("mission", planner)
+    return await _new_run(actor, "mission", lambda now: mission_orders.resume(actor.vehicle, now))
 
 
 async def set_mission_item(actor: VehicleActor, *, item: int, force: bool = False) -> Outcome:
     """Make it the current item, from 1. ``force``: as for `resume_mission`."""
-    planner = _new_run(actor, lambda now: mission_orders.set_current(actor.vehicle, now, item), item)
-    return await actor.runner.run("mission item", planner)
+    return await _new_run(actor, "mission item", lambda now: mission_orders.set_current(actor.vehicle, now, item), item)
 
 
-def _new_run(
-    actor: VehicleActor, planner: Callable[[float], Plan], first: int | None = None
-) -> Callable[[float], Plan]:
-    """The planner of an order with which another run of its mission begins, unless it refuses."""
+async def _new_run(actor: VehicleActor, order: str, planner: Planner, first: int | None = None) -> Outcome:
+    """Run an order with which another run of its mission begins; if it is refused, the present one goes on."""
+    begun: list[Callable[[], None]] = []
 
     def begins(now: float) -> Plan:
         plan = planner(now)
-        actor.missions.run_begins(first)
+        begun.append(actor.missions.run_begins(first))
         return plan
 
-    return begins
+    outcome = await actor.runner.run(order, begins)
+    for goes_on in () if may_have_effect(outcome) else reversed(begun):
+        goes_on()
+    return outcome

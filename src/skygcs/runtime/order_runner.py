@@ -232,9 +232,9 @@ class OrderRunner:
         return None
 
     async def unless_newer(self, number: int, order: str, planner: Planner) -> Outcome:
-        """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is the newer
-        one, by whatever door it came: its end is awaited, and only if it was not sent, or the vehicle has refused it,
-        is this one given: whose answers were lost, or whose client is gone, may have moved the vehicle."""
+        """`run`, if order ``number`` is still the last one that moves the vehicle. An order in progress is newer: its
+        end is awaited. This one is given only if the newer one was not sent, or the vehicle has refused it: one whose
+        answers were lost, or whose client is gone, may have moved the vehicle."""
         if not self.ledger.knows(number):
             unknown = f"it has no order {number} of this run of skygcs; without a number hold ends whatever moves it"
             return self._outcomes.finish(order, Outcome.refused(unknown))

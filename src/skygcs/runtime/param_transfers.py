@@ -373,7 +373,7 @@ class VehicleParams:
 
     @property
     def cache(self) -> ParamCache:
-        """Return what is kept on disk."""
+        """The store on disk."""
         return self._services.param_cache
 
     def known(self) -> Mapping[str, Param]:

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
-from skygcs.core.monitor.conflict_levels import COMING_HOME, LANDING
+from skygcs.core.monitor.conflict_levels import COMING_HOME, LANDING, LANDING_ORDERS
 from skygcs.core.monitor.departures import (
     UNKNOWN,
     ReturnHeight,
@@ -35,9 +35,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 
 ELSEWHERE = frozenset({"goto", "hold", "takeoff"})
 """Orders after which a vehicle is no longer on its way home by an older one."""
-
-LANDS = frozenset({"land", "stop"})
-"""Orders that may bring it down where it is, from the moment they are sent."""
 
 TAKES_S = 10.0
 """So long after its order a vehicle counts as on its way home, whatever mode it reports: an order is sent for 7 s."""
@@ -93,8 +90,7 @@ class ReturnMembers:
     def add_those_that_come_home(self, vehicles: Mapping[int, VehicleActor], now: float) -> None:
         """Add those that come home by whatever order, pilot or failsafe: their ways are those of a return."""
         for key, actor in vehicles.items():
-            comes = actor.vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
-            if key not in self._actors and comes and is_placed(actor.vehicle, now):
+            if key not in self._actors and _comes(actor, COMING_HOME) and is_placed(actor.vehicle, now):
                 self._actors[key] = actor
 
     def leave_out_gone(self) -> None:
@@ -135,10 +131,8 @@ class ReturnMembers:
     def is_under_way(self, actor: VehicleActor, now: float, *, leaves: bool = False) -> bool:
         """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`.
         ``leaves``: its order to return is being sent."""
-        key, vehicle = actor.vehicle.key, actor.vehicle
-        left = self.has_left(actor, now) or leaves
-        comes = left or vehicle.mode in COMING_HOME or actor.runner.ledger.newest_in_progress in LANDS
-        return is_flying(vehicle, now) and key not in self.staying and comes
+        comes = leaves or self.has_left(actor, now) or _comes(actor, COMING_HOME)
+        return is_flying(actor.vehicle, now) and actor.vehicle.key not in self.staying and comes
 
     def look_home(self) -> list[VehicleActor]:
         """Note who holds at the end of its return; returns those that do since now."""
@@ -208,7 +202,7 @@ class ReturnMembers:
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
             self._goal_m(vehicle.key),
-            lands=vehicle.mode in LANDING or actor.runner.ledger.newest_in_progress in LANDS,
+            lands=_comes(actor, LANDING),
             ceiling_m=math.inf if ceiling_m is None else home_m[2] + ceiling_m - CLEARANCE_M,
         )
         self._seen[vehicle.key] = one, at
@@ -226,6 +220,11 @@ class ReturnMembers:
         if self.frame is not None:
             ways += [way for way, _ in self._monitor.ways.present_ways(self.frame, self.keys(), parked=True)]
         return [way.name for way in ways if too_near(down, way)]
+
+
+def _comes(actor: VehicleActor, modes: Set[str]) -> bool:
+    """True if it is in one of these modes, or an order is being sent that may bring it down where it is."""
+    return actor.vehicle.mode in modes or actor.runner.ledger.newest_in_progress in LANDING_ORDERS
 
 
 async def read_return_height(actor: VehicleActor) -> ReturnHeight:

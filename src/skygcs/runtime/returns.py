@@ -1,9 +1,9 @@
 """Brings vehicles home that are ordered to return: those whose ways conflict leave one after another.
 
 Who leaves, climbs or waits is decided by `core.monitor.departures`; here the decision meets orders, telemetry and time.
-Vehicles that are not ordered to return are in the way where they are, are sent and fly to; one that comes home by
-itself has a way of its own. A single vehicle waits only if something is in its way, and leaves when it is ordered
-again. One that has to return is, of `Step`:
+A vehicle that is not ordered to return is in the way where it is, and on its way to where it was sent; one that comes
+home by itself has a way of its own. A single vehicle waits only if something is in its way, and leaves when it is
+ordered again. The steps of one that has to return (`Step`):
 
     step     what it does                            next
     ------   -------------------------------------   -------------------------------------------------------------
@@ -15,7 +15,8 @@ again. One that has to return is, of `Step`:
     LEAVES   its return is being sent; the others    on its way; WAITS, if it did not take that and has waited
              stay clear of its way, not its place    before
 
-It is left to whatever else has taken it, in WAITS and before each order, and its way or its place is kept free:
+In WAITS, and before each order, it may turn out that something else has taken it. Then it is left to that, and its way
+or its place is kept free:
 
     another order that went out, not refused by it   taken; meanwhile nothing is ordered
     another order that it refused                    goes on; so it does after a hold of the daemon's own, after a pause
@@ -27,16 +28,17 @@ It is left to whatever else has taken it, in WAITS and before each order, and it
     the daemon ends, or stood still                  goes on holding
 
 One that is not heard counts where it was, and on its way home. After a fault in the decision they return one at a time:
-with nothing known of them that moves the fewest at once. Whatever ends a wait is an event of order "rtl".
+nothing is known of their ways. Each end of a wait is an event of order "rtl".
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
+from functools import partial
 from typing import Literal
 
 from skygcs.core.monitor.conflict_levels import COMING_HOME
@@ -169,7 +171,7 @@ class Returns:
     async def begin(
         self, actors: Sequence[VehicleActor], serial: int, *, at_end: AtEnd = "hold"
     ) -> dict[VehicleActor, Waiting]:
-        """Decide who of these has to wait. Those that are returned are to be given to `carry_out` now, and to `run`
+        """Decide which of these have to wait. Those that are returned are to be given to `carry_out` now, and to `run`
         afterwards; the others are to be ordered to return now. Orders to return are decided in the order in which they
         came, so that the last one counts. ``at_end``: what those do whose way does not become clear. After a fault here
         each returns at once."""
@@ -345,7 +347,7 @@ class Returns:
         return found
 
     def _go_on(self, waits: Waiting) -> Outcome:
-        """It flies on where it was sent, and holds later (`_hold_later`)."""
+        """It flies on where it was sent, and holds later (`_hold_those_that_may`)."""
         actor = waits.actor
         fly = "flies" if len(waits.behind) == 1 else "fly"
         text = (
@@ -367,24 +369,7 @@ class Returns:
         for waits in going:
             late = now - waits.asked_at > GOES_ON_S
             if (late or waits.actor.vehicle.key not in followed) and self._is_current(waits):
-                waits.step = Step.HOLDS
-                self._tasks.start(self._hold_later(waits), f"hold of {waits.actor.name}", waits.serial)
-
-    async def _hold_later(self, waits: Waiting) -> None:
-        """A turn of the loop after it was decided."""
-        if not self._is_ours(waits):
-            waits.step = Step.GOES_ON
-            return
-        outcome = await waits.actor.hold(spares=COMING_HOME)
-        if not self._is_current(waits):
-            return
-        self._ordered(waits, outcome)
-        if outcome.ok:
-            waits.goal_m = None
-        elif outcome.result != "cancelled" and self._is_ours(waits):  # it cannot hold
-            waits.step = Step.LEAVES
-            self._members.leaves_now(waits.actor)
-            await self._leave(waits)
+                self._start(waits, Step.HOLDS, partial(waits.actor.hold, spares=COMING_HOME))
 
     def _spared(self, waits: Waiting, why: str) -> Outcome:
         """Drop a vehicle that was to wait but goes home by itself; returns its outcome."""
@@ -582,38 +567,53 @@ class Returns:
                 continue  # it climbs there
             if goal_m is not None and waits.actor.vehicle.failsafe:
                 continue  # its own failsafe may be about to act, and must not be broken off
-            waits.step = Step.LEAVES if goal_m is None else Step.CLIMBS
             if goal_m is None:
-                self._members.leaves_now(waits.actor)
-            work = self._leave(waits) if goal_m is None else self._climb(waits, goal_m)
-            self._tasks.start(work, f"return of {waits.actor.name}", waits.serial)
+                self._start(waits, Step.LEAVES, waits.actor.rtl)
+            else:
+                self._start(waits, Step.CLIMBS, partial(self._climb, waits, goal_m))
         if self._members.is_read():  # what was not ordered to return may be ordered away yet
             for_good = self._members.names(self._members.staying)
             stuck = [(key, names) for key, names in decided.stuck.items() if for_good.issuperset(names)]
             self._give_up([(self._waiting[key], names) for key, names in stuck if key in self._waiting])
 
-    async def _leave(self, waits: Waiting) -> None:
-        """A turn of the loop after the decision."""
+    def _start(self, waits: Waiting, step: Step, order: Callable[[], Awaitable[Outcome]]) -> None:
+        """Give this order to one that waits, as a task of its own."""
+        before, waits.step = waits.step, step
+        if step is Step.LEAVES:
+            self._members.leaves_now(waits.actor)
+        self._tasks.start(self._give(waits, before, order), f"return of {waits.actor.name}", waits.serial)
+
+    async def _give(self, waits: Waiting, before: Step, order: Callable[[], Awaitable[Outcome]]) -> None:
+        """A turn of the loop after it was decided. A fault in the order is reported by the task; it is given again, or
+        given up, as one that the vehicle did not take."""
         if not self._is_ours(waits):
-            waits.step = Step.WAITS
+            waits.step = before
             return
-        outcome = await waits.actor.rtl()
-        if not self._is_current(waits):
+        step, outcome = waits.step, Outcome(False, "cancelled", "it failed inside skygcs")
+        try:
+            outcome = await order()
+        finally:
+            if self._is_current(waits):
+                self._ended(waits, step, outcome)
+
+    def _ended(self, waits: Waiting, step: Step, outcome: Outcome) -> None:
+        """The order of a step has ended; it is the one of this return that counts."""
+        if step is Step.LEAVES and outcome.ok:
+            self._gone(waits)
+            return
+        self._ordered(waits, outcome)
+        if step is not Step.HOLDS:
             return
         if outcome.ok:
-            self._gone(waits)
-        else:
-            self._ordered(waits, outcome)
+            waits.goal_m = None
+        elif outcome.result != "cancelled" and self._is_ours(waits):  # it cannot hold
+            self._start(waits, Step.LEAVES, waits.actor.rtl)
 
-    async def _climb(self, waits: Waiting, goal_m: float) -> None:
-        if not self._is_ours(waits):
-            waits.step = Step.WAITS
-            return
+    async def _climb(self, waits: Waiting, goal_m: float) -> Outcome:
         actor, now = waits.actor, self._loop.time()
         one = self._members.returning(actor, now)
         if one is None or self._members.frame is None:
-            self._ordered(waits, Outcome.refused("its place is not known"))
-            return
+            return Outcome.refused("its place is not known")
         lat_deg, lon_deg, alt_amsl_m = self._members.frame.to_geodetic(*one.here[:2], goal_m)
         home_amsl_m = actor.vehicle.home_alt_amsl_m()
         over = [name for name in waits.told if name not in {other.actor.name for other in self._waiting.values()}]
@@ -630,7 +630,7 @@ class Returns:
         finally:
             self._monitor.ways.arriving(actor, sent, ok=outcome.ok, number=outcome.order_number)
         waits.goal_m = goal_m if outcome.ok else None
-        self._ordered(waits, outcome)
+        return outcome
 
     def _ordered(self, waits: Waiting, outcome: Outcome) -> None:
         """An order to one that goes on waiting has ended. A climb whose answer did not come may have changed the mode

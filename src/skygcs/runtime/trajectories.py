@@ -231,7 +231,7 @@ class Trajectories:
             return self._start(actors, chosen, {}, max(at_s, self._loop.time()), speed_factor, lock)
 
     def _lock_of(self, chosen: Mapping[VehicleActor, LoadedTrajectory]) -> FlightLock | None:
-        """Return what these fly by from now on, held while they do; None without an origin."""
+        """The lock of these vehicles, held while they fly; None without an origin."""
         first, loaded = next(iter(chosen.items()), (None, None))
         if first is None or loaded is None or first.vehicle.origin is None:
             return None
@@ -248,7 +248,7 @@ class Trajectories:
     def _chosen(
         self, actors: Sequence[VehicleActor]
     ) -> tuple[dict[VehicleActor, LoadedTrajectory], dict[VehicleActor, str]]:
-        """Return what is loaded for each, and why others do not start: nothing is, or another site commands them."""
+        """The trajectory of each, and why others do not start: none is loaded, or another site commands them."""
         missing = "no trajectory is loaded: `skygcs-cli trajectory load FILE {}` first"
         refused = {actor: missing.format(actor.name) for actor in actors if actor not in self._loaded}
         refused |= {actor: why for actor in actors if (why := actor.authority_refusal()) is not None}
@@ -448,7 +448,7 @@ class Trajectories:
         ]
 
     def status(self, actors: Sequence[VehicleActor]) -> list[dict[str, Any]]:
-        """Return what is loaded and flown, by vehicle; those without either are left out."""
+        """Trajectories that are loaded or flown, by vehicle; vehicles with neither are left out."""
         now, found = self._loop.time(), []
         for actor in actors:
             loaded, flight = self._loaded.get(actor), actor.offboard.controller.flight

@@ -107,7 +107,7 @@ class UnattendedHolds:
     # -- internal
 
     def _flown_by(self, now: float, site: str | None) -> str | None:
-        """Return which program flies it now, of those whose flight is known here."""
+        """The program that flies it now, of those whose flight is known here; None: none does."""
         if site is not None:
             return "the site that may command it"
         if isinstance(self._offboard, OffboardEngagement):
@@ -144,7 +144,7 @@ class UnattendedHolds:
 
 
 def _target(frame: Frame) -> Target | None:
-    """Return what a message of another station makes the vehicle fly to; None: it moves nothing."""
+    """The kind of target that a message of another station gives the vehicle; None: it moves nothing."""
     fields = frame.fields()
     name = "" if frame.info is None else frame.info.name
     if name == "SET_ATTITUDE_TARGET":

@@ -8,7 +8,6 @@ when a landing is ordered.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +31,7 @@ from skygcs.core.vehicle.flight_lock import RateChange
 from skygcs.core.vehicle.frames import GeodeticPosition, setpoint_from_world, shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.offboard_entry import ask_loss_parameters
-from skygcs.core.vehicle.order_ledger import ClientIdentity, StreamOwner
+from skygcs.core.vehicle.order_ledger import ClientIdentity, StreamOwner, may_have_effect
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import Action
 from skygcs.core.vehicle.raw_setpoint import raw_from_world
@@ -201,7 +200,7 @@ class VehicleActor:
         return bool(self._closed)
 
     def part(self, kind: Callable[[VehicleActor], P]) -> P:
-        """Return what an extension keeps for this vehicle: the one of this class, made when it is first asked for."""
+        """The part of this class that an extension keeps for this vehicle, made when it is first asked for."""
         part = self._parts.get(kind)
         if part is None:
             part = self._parts[kind] = kind(self)
@@ -313,10 +312,7 @@ class VehicleActor:
         self.streams.tick(now)
         for part in self._parts.values():
             part.tick(now)
-        if not isinstance(self.offboard, OffboardEngagement):
-            self.offboard.watch(now)
-        elif self.offboard.controller.active:
-            self.offboard.refresh_budget()
+        self.offboard.watch(now)
         if self.vehicle.replayed:
             return
         self.unattended.tick(now, self.authority_refusal())
@@ -439,7 +435,14 @@ class VehicleActor:
                 raise RefusedError(why)
             return plan
 
-        outcome = await self.runner.retry("takeoff", planner, wait_s)
+        ledger, before = self.runner.ledger, self.runner.ledger.effective
+        try:
+            outcome = await self.runner.retry("takeoff", planner, wait_s)
+        except asyncio.CancelledError:
+            if ledger.effective > before and ledger.effective_order == "takeoff" and not self._closed:
+                sent = Outcome(True, "cancelled", "", order_number=ledger.effective)
+                self.takeoffs.begin(sent, self.vehicle.takeoff.alt_amsl_m, height, engage=False)  # it may climb
+            raise
         self.takeoffs.begin(outcome, self.vehicle.takeoff.alt_amsl_m, height, engage=engage)
         return outcome
 
@@ -496,14 +499,21 @@ class VehicleActor:
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """Set a message rate; 0 turns it off, None restores the vehicle's own rate. skygcs then requests no other
         rate."""
-        with contextlib.suppress(RefusedError):
-            name = orders.find_message(self._dialect, message)[1]
-            if (why := self.services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
-                return self.refuse("interval", why)
-            self.streams.leave(name)
-        return await self.runner.run(
-            "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
-        )
+        outcome: Outcome | None = None
+        try:
+            _, name = orders.find_message(self._dialect, message)
+        except RefusedError as error:
+            return self.refuse("interval", str(error))
+        if (why := self.services.locks.refusal(RateChange(self.vehicle.key, name))) is not None:
+            return self.refuse("interval", why)
+        try:
+            outcome = await self.runner.run(
+                "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
+            )
+        finally:
+            if may_have_effect(outcome):
+                self.streams.leave(name)
+        return outcome
 
     async def request_message(self, message: str | int) -> Outcome:
         """Request one message; the outcome is ok once it has come (read it with `latest`)."""
@@ -583,7 +593,7 @@ class VehicleActor:
             checked = self._checked(valid_s, program, **wanted)
             if isinstance(checked, Outcome):
                 return checked
-            if take_over and not isinstance(self.offboard, OffboardEngagement):
+            if take_over:
                 self.offboard.insist()
             return checked()
 
@@ -605,7 +615,7 @@ class VehicleActor:
         force: bool = False,
         **raw: Any,
     ) -> Outcome | Callable[[], Outcome]:
-        """Return what follows a setpoint, or its refusal. ``raw``: see `raw_setpoint.raw_from_world`; also an
+        """A function that follows a setpoint, or its refusal. ``raw``: see `raw_setpoint.raw_from_world`; also an
         acceleration alone. ``force``: although it leads too close to another vehicle."""
         # a raw setpoint of the user's own controller, or a reference
         origin = self.vehicle.origin
@@ -661,9 +671,8 @@ class VehicleActor:
     def _plan_hold(self, now: float) -> Plan:
         """An ArduCopter holds in GUIDED, in which it obeys a setpoint that its companion sends before it knows of the
         hold: then it stays in BRAKE."""
-        if not isinstance(self.offboard, OffboardEngagement) and self.offboard.may_send:
-            return orders.brake(self.vehicle, now)
-        return orders.hold(self.vehicle, now)
+        hold = orders.brake if self.offboard.may_send else orders.hold
+        return hold(self.vehicle, now)
 
     async def _switched_off(self) -> Outcome:
         outcome = await self.runner.attempt(self._plan_hold, reason="switched off")
@@ -715,6 +724,8 @@ class VehicleActor:
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
+            elif event.kind == "vehicle_back":
+                self.offboard.heard_again()
             elif event.kind == "reboot":
                 self.commands.stop(mav_cmd.PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self._stop_protocols("the vehicle rebooted")

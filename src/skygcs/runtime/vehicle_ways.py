@@ -16,7 +16,14 @@ from typing import Any, NamedTuple
 from skygcs.config.models import VehicleConfig
 from skygcs.core.geo import EnuFrame, Origin, ecef, world_from_enu
 from skygcs.core.monitor.approach import REST, Vector
-from skygcs.core.monitor.conflict_levels import COMING_HOME, HORIZON_S, LANDING, NOISE_MPS
+from skygcs.core.monitor.conflict_levels import (
+    COMING_HOME,
+    HOMING_ORDERS,
+    HORIZON_S,
+    LANDING,
+    LANDING_ORDERS,
+    NOISE_MPS,
+)
 from skygcs.core.monitor.departures import STANDS_MPS, UNKNOWN, Returning, known_return_height
 from skygcs.core.monitor.mission_ways import (
     MissionBox,
@@ -67,9 +74,6 @@ BEGINS_S = 1.0
 
 ARRIVED_M = 2.0
 """A vehicle so near to where skygcs has sent it holds there: it wanders by GPS noise and gusts."""
-
-HOME_OR_DOWN = {"rtl": False, "land": True, "stop": True}
-"""Orders after which a vehicle flies home, or comes down where it is (True)."""
 
 FIELD_M = 10_000.0
 """In a frame whose origin is farther away, up is more than 0.1 degrees off."""
@@ -247,7 +251,7 @@ class VehicleWays:
         return Mover(vehicle.key, vehicle.name, self.footprint(actor), here, vehicle.hold_reach_m(now))
 
     def mover(self, vehicle: Vehicle) -> Mover | None:
-        """The same, with its motion: how it brakes and turns before it flies there."""
+        """`unmoved` with its motion: how it brakes and turns before it flies there."""
         mover, (position, at) = self.unmoved(vehicle), vehicle.timed_telemetry("position")
         if mover is None or position is None or at is None:
             return None
@@ -409,11 +413,12 @@ class VehicleWays:
         return ways
 
     def _begins_home(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
-        """The same, but for missions."""
-        lands, home = HOME_OR_DOWN.get(actor.runner.ledger.newest_in_progress), actor.vehicle.telemetry("home")
-        if lands is None or home is None or actor.vehicle.mode in COMING_HOME or not self._hovers(track):
+        """`begins` without missions."""
+        order, home = actor.runner.ledger.newest_in_progress, actor.vehicle.telemetry("home")
+        known = order in HOMING_ORDERS and actor.vehicle.mode not in COMING_HOME and self._hovers(track)
+        if not known or home is None:
             return []
-        return [self._way_home(actor, track, frame, home, lands=lands)]
+        return [self._way_home(actor, track, frame, home, lands=order in LANDING_ORDERS)]
 
     def goes_on(self, actor: VehicleActor, track: Track, frame: EnuFrame) -> list[Way]:
         """The space, if it has any, of a vehicle that flies otherwise than where it was sent: all of its mission, or as

@@ -598,6 +598,24 @@ async def test_a_run_that_has_ended_stays_so_whoever_changes_the_mission_then() 
         assert not actor.missions.complete, "of which item is the last nothing is known"
 
 
+@pytest.mark.parametrize("how", ["refused here", "denied"])
+async def test_an_order_that_is_refused_leaves_the_run_that_is_flown_as_it_is(how: str) -> None:
+    """Nothing that it reached afterwards counted: those that were to start after it waited for two hours."""
+    async with Site() as (_, storing, actor):
+        await onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:2]), kinds=(MISSION,))
+        for seq in (0, 1):
+            storing.current(seq)
+            await asyncio.sleep(0.1)
+        if how == "denied":
+            storing.vehicle.script = lambda vehicle, sent: vehicle.reply(sent, 2)
+        else:
+            actor.authority_refusal = lambda: "another site commands it"
+        assert not (await onboard_orders.set_mission_item(actor, item=1)).ok
+        storing.current(1)
+        await _hears(storing, mav.MAVLink_mission_item_reached_message(1))
+        assert actor.missions.furthest == 2 and actor.missions.complete
+
+
 async def test_what_another_station_changes_meanwhile_is_not_what_was_read() -> None:
     async with Site() as (_, storing, actor):
         await onboard_orders.upload_plan(actor, plan=PLAN, kinds=(MISSION,))

@@ -100,6 +100,7 @@ class Field:
         self.orders: list[Plan] = []
         self.events: list[Event] = []
         self.enters = True
+        self.unheard = False
         self.hover_thrust: float | None = None
         self.mode = PX4_LOITER
         self.position_enu_m = (0.0, 0.0, 10.0)
@@ -165,6 +166,8 @@ class Field:
     async def execute(self, plan: Plan) -> Outcome:
         self.orders.append(plan)
         await asyncio.sleep(0.05)
+        if self.unheard:
+            return Outcome(False, "timeout", "timeout")
         if plan.order == "control":
             if not self.enters:
                 return Outcome(False, "denied", "denied: no")
@@ -235,6 +238,20 @@ async def test_tilt_and_throttle_are_asked_for_by_attitude_and_given_back(f: Fie
     intervals = {msgid: [params[1] for params in asked if params[0] == msgid] for msgid in (30.0, 74.0)}
     assert intervals[30.0][0] == 1e5 and intervals[74.0][0] == 2e5
     assert [len(times) for times in intervals.values()] == [2, 2], "once, and given back once"
+
+
+async def test_rates_that_were_given_back_unheard_are_when_the_vehicle_is_heard_again(f: Field) -> None:
+    """They stayed raised, up to 50 positions a second, for as long as the vehicle was on the air."""
+    assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+    heard, f.unheard = f.unheard, True
+    f.offboard.release("the link was cut")
+    await asyncio.sleep(0.5)
+    f.unheard, asked = heard, len(f.orders)
+    for _ in range(2):
+        f.offboard.heard_again()
+        await asyncio.sleep(0.5)
+    given_back = [plan.steps[0].command.params for plan in f.orders[asked:]]  # type: ignore[union-attr]
+    assert given_back == [(30.0, 0.0), (33.0, 5e5), (74.0, 0.0)], "once each"
 
 
 async def test_a_vehicle_that_does_not_take_the_mode_is_sent_nothing_more(f: Field) -> None:

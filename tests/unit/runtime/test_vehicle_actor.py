@@ -955,6 +955,8 @@ async def test_message_intervals_are_microseconds(ground: Ground) -> None:
         outcome = await actor.set_message_interval("attitude", rate_hz)
         assert (outcome.ok, outcome.message) == (True, said)
         assert vehicle.commands()[-1] == (511, (30.0, interval_us))
+    assert (await actor.set_message_interval("GPS_RAW_INT", -1.0)).result == "refused"
+    assert [actor.streams.is_left(name) for name in ("ATTITUDE", "GPS_RAW_INT")] == [True, False]
 
 
 async def test_a_stream_request_is_sent_once_without_acknowledgement(ground: Ground) -> None:
@@ -1073,6 +1075,26 @@ async def test_cancelling_an_order_leaves_nothing_behind(ground: Ground) -> None
     assert not actor.commands.busy
     vehicle.script = accept_everything
     assert (await actor.takeoff(5)).ok
+
+
+async def test_a_take_off_that_was_sent_is_watched_though_its_client_is_gone(ground: Ground) -> None:
+    """No alarm came at a wrong height, and a goto went out while it climbed."""
+    vehicle, actor = await one(ground, ARDUPILOT)
+    for number, under_way in ((MODE, None), (TAKEOFF, "it is taking off (0.0 of 10.0 m)")):
+        heard = asyncio.Event()
+
+        def script(v: ScriptedVehicle, sent: Sent, number: int = number, heard: asyncio.Event = heard) -> None:
+            accept_everything(v, sent)
+            if sent.command == number:
+                heard.set()
+
+        vehicle.script = script
+        task = asyncio.create_task(actor.takeoff(10))
+        await heard.wait()
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert actor.takeoffs.under_way() == under_way, number
+        await asyncio.sleep(4)
 
 
 async def test_an_ack_for_another_ground_station_is_not_taken_for_ours(ground: Ground) -> None:

@@ -181,7 +181,7 @@ def factorings(loop: Loop) -> tuple[Factoring, ...]:
 
 
 def margins(loop: Loop, delay_s: float = 0.0) -> Margins | None:
-    """Return what is left with this delay in the loop; None if the loop is not stable with it."""
+    """The margins that are left with this delay in the loop; None if the loop is not stable with it."""
     if not routh(loop).stable:
         return None
     crossover = _bisect(lambda w: _magnitude(loop, w) < 1, *_bracket(lambda w: _magnitude(loop, w) < 1))

@@ -82,7 +82,7 @@ class DragEstimate:
         return DragEstimate(min(MOST, max(LEAST, along)), min(ACROSS, max(-ACROSS, across)))
 
     def acceleration_mps2(self, velocity_mps: Sequence[float]) -> Vector:
-        """Return what it takes to fly with this velocity against the drag; level."""
+        """The acceleration that keeps this velocity against the drag; level."""
         u, v = velocity_mps[0], velocity_mps[1]
         east = self.along_per_s * u - self.across_per_s * v
         north = self.along_per_s * v + self.across_per_s * u

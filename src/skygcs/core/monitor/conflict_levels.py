@@ -56,6 +56,12 @@ LANDING = frozenset({"AUTO.LAND", "AUTO.PRECLAND", "LAND", "TERMINATION"})
 
 COMING_HOME = LANDING | {"AUTO.RTL", "AUTO.RTGS", "RTL", "SMART_RTL", "AUTO_RTL"}
 
+LANDING_ORDERS = frozenset({"land", "stop"})
+"""Orders that may bring it down where it is, from the moment they are sent."""
+
+HOMING_ORDERS = LANDING_ORDERS | {"rtl"}
+"""Orders that bring it home, or down."""
+
 
 def why_not_yield(track: Track, now: float) -> str | None:
     """Why this vehicle is not ordered to hold; None if it may be."""
@@ -236,7 +242,7 @@ def _rank_with_goals(a: Track, b: Track, widened: float) -> tuple[float, float] 
 
 
 def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
-    """Return what two vehicles are heading for; None: nothing within `HORIZON_S`. ``widened``: factor of the margin."""
+    """The conflict that two vehicles head for; None: none within `HORIZON_S`. ``widened``: factor of the margin."""
     margin = pair_margin(a.footprint, b.footprint)
     ratio = margin.downwash_ratio
     certain_m = margin.total_m * widened
@@ -269,7 +275,7 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
 
 
 def _with_goals(a: Track, b: Track, offset: Vector, margin: Margin, certain_m: float) -> Conflict | None:
-    """The same where at least one flies to where it was sent, and stays there."""
+    """`find_conflict` for two of which at least one flies to where it was sent, and stays there."""
     ratio = margin.downwash_ratio
     radius_m = certain_m + a.ball_m + b.ball_m
     paths = scaled_pieces(a.path, ratio), scaled_pieces(b.path, ratio)

@@ -177,7 +177,7 @@ class Returning:
         return self.up_to(self.here[2] + self._brakes_m(self.velocity_mps)[2] if self.goal_m is None else self.goal_m)
 
     def up_to(self, goal_m: float) -> Way:
-        """The same if it climbs to this height."""
+        """Its space while it climbs to this height where it stands."""
         (x, y, z), (u, v, w) = self.here, self._brakes_m(self.velocity_mps)
         leg = Leg((x, y), (x + u, y + v), min(z, z + w), max(z, goal_m))
         return Way(self.key, self.name, self.footprint, (leg,), self.near_m, "waits")

@@ -162,8 +162,8 @@ def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) 
 
 
 def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now: float) -> str | None:
-    """The same of the way up, and of where it holds then. Vehicles that stand too near already count: it may be carried
-    sideways as it rises."""
+    """`goto_conflict` for a take-off: the way up, and the place where it holds then. Vehicles that stand too near
+    already count: it may be carried sideways as it rises."""
     frame, others, end = mover_frame(mover), list(others), (0.0, 0.0, height_m)
     path = _straight(end, CLIMB_MPS, HORIZON_S)._replace(strict=True)
     way = _conflict(mover, frame, [path], others, now)
@@ -182,7 +182,7 @@ def climb_out_end(mover: Mover, height_m: float, heading_rad: float) -> Place:
 def setpoint_conflict(
     mover: Mover, to: Place | None, velocity_mps: Vector, others: Iterable[Other], now: float
 ) -> str | None:
-    """The same of one setpoint of a stream: a place to be at now, or without one a velocity (true ENU)."""
+    """`goto_conflict` for one setpoint of a stream: a place to be at now, or without one a velocity (true ENU)."""
     frame = mover_frame(mover)
     if to is None:
         path = _Path((Piece(AHEAD_S, velocity_mps),), AHEAD_S, 0.0, False)
@@ -488,7 +488,7 @@ class TrajectorySpace:
         return [] if (first := self._first(now)) is None else self._points[first:]
 
     def left_near(self, ends: tuple[Vector, Vector], need_m: float, now: float) -> list[list[Vector]]:
-        """The same, only its parts that may come so near a straight line, all earth-centred."""
+        """The parts of `left` that may come so near a straight line, all earth-centred."""
         if (first := self._first(now)) is None:
             return []
         need, parts = (need_m, need_m, need_m), list[list[Vector]]()

@@ -234,7 +234,7 @@ def _boxes_meet(a: Way, b: Way, need_m: float) -> bool:
 
 
 def _are_near(a: Way, b: Way, need_m: float, ratio: float) -> bool:
-    """The same of two that are known."""
+    """`_boxes_meet` for two ways that are known."""
     p, q = a.box, b.box
     if p[0] - need_m > q[1] or q[0] - need_m > p[1] or p[2] - need_m > q[3] or q[2] - need_m > p[3]:
         return False

@@ -192,7 +192,7 @@ def loss_timeout_s(vehicle: Vehicle) -> float:
 
 
 def braking_limits(vehicle: Vehicle) -> BrakingLimits:
-    """Return what it slows down with."""
+    """The decelerations with which its firmware stops it."""
     return PX4_BRAKING if vehicle.family == "px4" else COPTER_BRAKING
 
 
@@ -229,7 +229,7 @@ def loss_note(vehicle: Vehicle, now: float) -> str | None:
 
 
 def loss_text(vehicle: Vehicle, now: float) -> str:
-    """Return what the vehicle does by itself when setpoints stop, as when this computer dies; dangerous or not."""
+    """The vehicle's own reaction when setpoints stop, as when this computer dies; dangerous or not."""
     if (note := loss_note(vehicle, now)) is not None:
         return note
     name = "COM_OBL_RC_ACT" if vehicle.family == "px4" else "FS_GCS_ENABLE"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from skygcs.core.geo import distance_m
@@ -215,7 +215,7 @@ class TargetProof:
     """In place of the step's command when it is repeated: one that a vehicle in another mode denies."""
 
     def begin(self, vehicle: Vehicle, now: float) -> GoesThere:
-        """Return what it has to show from now on."""
+        """The expectation that it has to meet from now on."""
         there = GoesThere(self.lat_deg, self.lon_deg, self.alt_amsl_m, now, math.inf)
         position = vehicle.telemetry("position")
         if position is None or position["lat_deg"] is None:
@@ -274,4 +274,3 @@ class Plan:
     despite_duplicate: bool = False
     force: bool = False
     spares: frozenset[str] = frozenset()
-    data: Mapping[str, Any] = field(default_factory=dict)

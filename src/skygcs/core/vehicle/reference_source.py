@@ -73,7 +73,7 @@ MOST_AHEAD_M = 2.0
 that the vehicle needs to reach that speed is added. Wind and an estimator that wanders make about 1 m."""
 
 MOST_AHEAD_RAD = math.radians(60.0)
-"""The same of a yaw that turns with a rate alone: from half a turn on the vehicle would turn the other way."""
+"""Largest lead of a yaw that turns with a rate alone: from half a turn on the vehicle would turn the other way."""
 
 
 class ReferenceSource:
@@ -265,7 +265,7 @@ class SteadyThrust:
         self._samples.append((now, (thrust * east, thrust * north, thrust * cosine), estimate.vel_enu_mps))
 
     def memory(self, law: ControlConfig, now: float) -> Memory:
-        """Return what the law shall begin with, within its limits; nothing remembered where nothing fresh is known."""
+        """The memory with which the law begins, within its limits; an empty one without a fresh attitude."""
         samples = [sample for sample in self._samples if 0.0 <= now - sample[0] <= WINDOW_S]
         if not samples or now - samples[-1][0] > FRESH_S:
             return Memory()

@@ -278,7 +278,7 @@ class SetpointGenerator:
         return gain * east, gain * north, up
 
     def _row(self, control_mode: ControlMode, given: TickInput) -> TraceRow | None:
-        """Return what this tick was given, for the trace; None if nobody records."""
+        """The input of this tick for the trace; None if nobody records."""
         if not self.tracing or given.estimate is None:
             return None
         return TraceRow(
@@ -309,8 +309,8 @@ def _turn(reference: Reference) -> tuple[float | None, float | None]:
 
 
 def _beside_zero(place: GeodeticPosition) -> GeodeticPosition:
-    """Return what would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is
-    sent as the next: the equator and the first meridian are places like any other."""
+    """The place, moved off a coordinate of 0 by the resolution of the wire: 0 counts as never filled in
+    (`setpoint.position_target`), but the equator and the first meridian are places like any other."""
     if abs(place.lat_deg) >= LEAST_DEG and abs(place.lon_deg) >= LEAST_DEG:
         return place
     lat_deg, lon_deg = (c if abs(c) >= LEAST_DEG else LEAST_DEG for c in (place.lat_deg, place.lon_deg))

@@ -82,7 +82,7 @@ WEARS_NO_FORCE = frozenset({Without.FALLS, Without.KILLS})
 
 
 def without_sticks(model: VehicleModel, custom_mode: int) -> Without | None:
-    """Return what this vehicle would do in a mode in the air without sticks; None: it needs none there."""
+    """The behaviour of this vehicle in a mode, in the air and without sticks; None: the mode needs none there."""
     name = mode_name(model, custom_mode)
     if model.family != "px4":
         return _ARDUPILOT.get(model.kind, {}).get(name)
@@ -111,7 +111,7 @@ class Hands(NamedTuple):
 
 
 def hands(vehicle: Vehicle, now: float) -> Hands:
-    """Return whose hands it is in now."""
+    """The hands in which it is now."""
     by_sticks = vehicle.family != "generic" and without_sticks(model_of(vehicle, now), vehicle.custom_mode) is not None
     return Hands(vehicle.mode if by_sticks else "", vehicle.armed or is_being_armed(vehicle, now), now)
 
@@ -158,7 +158,7 @@ def mode_refusal(model: VehicleModel, custom_mode: int, *, force: bool) -> str |
 
 
 def hazard(model: VehicleModel, custom_mode: int) -> str | None:
-    """Return what becomes of a flying vehicle in a mode that is flown by sticks, as a sentence for a person; None: the
+    """The danger to a flying vehicle in a mode that is flown by sticks, as a sentence for a person; None: the
     mode needs none, or they are seen with the throttle up."""
     effect = without_sticks(model, custom_mode)
     if effect is None or model.sticks is Sticks.READY:

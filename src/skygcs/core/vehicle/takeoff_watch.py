@@ -126,7 +126,7 @@ SETTLE_S = 5.0
 without climbing by `RISE_M`."""
 
 PLANE_SETTLE_S = 20.0
-"""The same of a plane, which gathers speed at a constant height first."""
+"""`SETTLE_S` of a plane, which gathers speed at a constant height first."""
 
 RISE_M = 0.2
 

@@ -383,6 +383,9 @@ class CompanionControl:
     def link_changed(self) -> None:
         """Another link leads to the vehicle; the companion, which controls it, has its own."""
 
+    def heard_again(self) -> None:
+        """The companion asks for the rates that it needs, and gives them back."""
+
     def origin_changed(self) -> None:
         """The companion's origin follows the ground's."""
         self._relay_origin()

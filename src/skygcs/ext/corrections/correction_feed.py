@@ -27,6 +27,9 @@ from skygcs.runtime.hub import Hub
 
 CORRECTIONS = standing("corrections")
 
+GPS = frozenset({"gps"})
+"""All of a vehicle's state takes 0.1 ms to make, for which control would wait by 25 ms with 250 vehicles."""
+
 RATE_S = 10.0
 """Time over which the rate is measured: about the period of a base's slowest messages."""
 
@@ -172,6 +175,6 @@ class CorrectionFeed:
         """Fix by vehicle; None without GPS_RAW_INT."""
         fixes = []
         for _, actor in sorted(self._fleet.vehicles.items()):
-            gps = actor.state(now)["gps"] or {}
+            gps = actor.state(now, GPS)["gps"] or {}
             fixes.append({"name": actor.name, "fix": gps.get("fix"), "satellites": gps.get("satellites")})
         return fixes

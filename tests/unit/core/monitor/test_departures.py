@@ -269,6 +269,9 @@ def test_one_that_waits_in_a_way_climbs_only_where_that_is_free(
     decided = departures([one], [], [way, *others], {2})
     assert decided.leave == () and (1 in decided.climb) is climbs
     assert bool(decided.fenced) is (ceiling_m == 12.0)
+    if above_m is not None:
+        waits = at(2, (0.0, 1.0, 10.0 + above_m), (20.0, 0.0))
+        assert departures([one, waits], [], [way]).climb == {}, "nor where another one waits"
 
 
 @pytest.mark.parametrize(
@@ -463,6 +466,10 @@ def test_the_way_home_of_one_that_waits_returns_or_lands() -> None:
     assert one.way().legs == legs
     home = replace(one, velocity_mps=(-3.0, -4.0, 2.0), age_s=SILENT_S).way(under_way=True)
     assert home.legs == legs and home.ball_m == SIZE.ball_m(SILENT_S), "it flies there: it does not brake"
+    moves = replace(one, velocity_mps=(-4.0, 3.0, 0.0))
+    for brakes in (moves.way(), replace(moves, lands=True).way(under_way=True)):
+        x, y = (end - begin for begin, end in zip(brakes.legs[0].begin, brakes.legs[0].end, strict=True))
+        assert x < 0.0 < y and x / y == pytest.approx(-4.0 / 3.0), "along its velocity"
     near = replace(one, here=(AT_HOME_M, 0.0, 10.0))
     for sinks_mps, lands in ((SINKS_MPS, False), (SINKS_MPS + 0.01, True), (-1.0, False)):
         way = replace(near, velocity_mps=(0.0, 0.0, -sinks_mps)).way(under_way=True)

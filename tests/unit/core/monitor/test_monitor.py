@@ -540,6 +540,8 @@ def test_the_worst_conflict_of_a_vehicle_is_in_its_state() -> None:
     state = fleet.monitor.of(1 << 8 | 1)
     assert state is not None and state["with"] == "v3" and state["level"] == "action"
     assert fleet.monitor.conflicts()[0].level is Level.ACTION
+    fleet.monitor.pairs.clear()
+    assert fleet.monitor.of(1 << 8 | 1) == state, "looked up, not looked for among all pairs: 88 ms for 250 vehicles"
 
 
 # --- events in the wrong order ----------------------------------------------------------------------------------------

@@ -224,7 +224,9 @@ def test_clients_that_come_and_go_leave_nothing_behind() -> None:
         client = ClientIdentity(lambda: "one")
         assert owner.refusal(client, 0.5, i * 0.01, take_over=True) is None
         owner.followed(client, 0.5, i * 0.01)
-        owner.is_new(ClientIdentity(lambda: "another"))
+        another = ClientIdentity(lambda: "another")
+        assert owner.is_new(another) and not owner.is_new(another), "each is reported once beside one owner"
         if i % 2 == 0:
             client.leave()
-    assert len(owner._lost) <= 101 and len(owner._told) <= MOST_TOLD
+    assert len(owner._lost) <= 101
+    assert [owner.is_new(ClientIdentity(lambda: "one of many")) for _ in range(MOST_TOLD)].count(False) == 1

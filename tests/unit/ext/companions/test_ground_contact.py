@@ -6,7 +6,14 @@ import itertools
 
 import pytest
 
-from skygcs.ext.companions.ground_contact import LISTEN_S, Action, ContactState, GroundContact, GroundLost
+from skygcs.ext.companions.ground_contact import (
+    LISTEN_S,
+    MOST_STANDSTILLS,
+    Action,
+    ContactState,
+    GroundContact,
+    GroundLost,
+)
 from support.table import each
 
 LOST_S = 5.0
@@ -82,6 +89,16 @@ def test_a_companion_that_is_late_at_every_tick_loses_the_ground_all_the_same(pe
     assert set(heard) == {None} and silent.count("hold") == 1
 
 
+def test_so_many_standstills_are_forgiven_after_each_contact_and_no_more() -> None:
+    watch = GroundContact("hold", 2.0)
+    for k in range(2 * MOST_STANDSTILLS):
+        assert ticks(watch, 20.0 * k, 20.0 * k + 10.0) == []
+        assert ticks(watch, 20.0 * k + 13.0, 20.0 * k + 13.8, contact_at=20.0 * k + 9.8) == []
+    ticks(watch, 200.0, 202.0)
+    late = [watch.tick(202.0 + 3.0 * k, controlled=True, follows=False, contact_at=201.8) for k in range(1, 6)]
+    assert late.index("hold") == MOST_STANDSTILLS
+
+
 @each("follows", [True, False])
 def test_a_ground_that_comes_back_before_the_order_goes_on(follows: bool) -> None:
     watch = GroundContact("finish", LOST_S)
@@ -107,5 +124,7 @@ def test_without_control_nothing_is_ever_ordered(action: GroundLost, follows: bo
 def test_the_silence_counts_from_the_begin_of_control() -> None:
     """Control that begins while the last contact is old has its time, too."""
     watch = GroundContact("hold", LOST_S)
-    ((at, _),) = ticks(watch, 100.0, 120.0, contact_at=0.0)
+    assert ticks(watch, 100.0, 103.0, contact_at=0.0) == [] and watch.silence_s(103.0, 0.0) == 3.0
+    ((at, _),) = ticks(watch, 103.0, 120.0, contact_at=0.0)
+    assert watch.silence_s(120.0, 100.0) == 20.0
     assert at == pytest.approx(105.0, abs=0.21)
