@@ -58,6 +58,9 @@ AMPLE_SHARE = 0.9
 TURN_S = 0.002
 """All clients' requests together may use the loop this long before routing and everything else get their turn."""
 
+ANSWERED_S = 0.2
+"""At the daemon's end: a request that waits for more than orders that have ended has no answer."""
+
 LINGER_S = 5.0
 
 MAX_LINGERING = 64
@@ -710,9 +713,12 @@ class Sessions:
         }
 
     async def close(self) -> None:
-        """End every session, and what outlives them; wait for all of it."""
+        """End every session, and what outlives them; wait for all of it. Orders that the daemon's end has ended are
+        answered before."""
         sessions = self.sessions
         tasks: list[asyncio.Task[Any]] = [task for session in sessions for task in session.tasks]
+        if tasks:
+            await asyncio.wait(tasks, timeout=ANSWERED_S)
         tasks += self.lasting
         for session in sessions:
             session.close()
