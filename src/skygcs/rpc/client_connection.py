@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import tcp_address
 from skygcs.rpc.client_inbox import Encoded, Inbox
-from skygcs.rpc.error_codes import INVALID_PARAMS
+from skygcs.rpc.error_codes import INVALID_PARAMS, LIMIT_EXCEEDED
 from skygcs.rpc.json_lines import (
     ANSWER,
     BEGUN,
@@ -50,6 +50,12 @@ CONNECT_AGAIN_S = 0.01
 
 CLOSE_S = 1.0
 """Seconds for TLS to close the connection."""
+
+MAX_UNANSWERED = 4096
+"""Most requests without an answer; the daemon works on 64 of a client at a time."""
+
+MAX_UNSENT_BYTES = 8 << 20
+"""Most bytes that a daemon has not read: it stands still, or the way to it is cut. What waits longer is not wanted."""
 
 MAX_NUMBER_CHARS = 20
 """Longest text of a subscription's number."""
@@ -189,9 +195,12 @@ class ClientConnection(asyncio.Protocol):
     ) -> int:
         """Send a request with further ``members``; ``on_answer(result, error)`` is called once. Returns its number.
 
-        Raises RpcError for a request that is too long for the daemon, DaemonUnreachable."""
+        Raises RpcError for a request that is too long for the daemon, and while too much waits; DaemonUnreachable."""
         if self._lost is not None:
             raise self._lost
+        if len(self._calls) >= MAX_UNANSWERED or self._is_full():
+            text = f"{method[:40]} is not sent: {self._address} does not answer what was sent before"
+            raise RpcError(LIMIT_EXCEEDED, f"{text} ({len(self._calls)} requests); connect anew to send it now")
         number = self._last_number = self._last_number + 1
         request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params, **members}
         line = _encoded(request)
@@ -203,8 +212,9 @@ class ClientConnection(asyncio.Protocol):
         return number
 
     def notify(self, method: str, params: dict[str, Any]) -> None:
-        """Send what has no answer; nothing if the connection has ended. Raises ValueError for what JSON lacks."""
-        if self._lost is None:
+        """Send what has no answer; nothing if the connection has ended or too much waits. Raises ValueError for what
+        JSON lacks."""
+        if self._lost is None and not self._is_full():
             self.transport.write(notification(method, _encoded(params)) + b"\n")
 
     async def close(self) -> None:
@@ -217,6 +227,9 @@ class ClientConnection(asyncio.Protocol):
                     await self._closed.wait()
             except TimeoutError:
                 self.transport.abort()
+
+    def _is_full(self) -> bool:
+        return self.transport.get_write_buffer_size() > MAX_UNSENT_BYTES
 
     # -- what asyncio calls
 

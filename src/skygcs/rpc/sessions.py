@@ -58,6 +58,9 @@ AMPLE_SHARE = 0.9
 TURN_S = 0.002
 """All clients' requests together may use the loop this long before routing and everything else get their turn."""
 
+ANSWERED_S = 0.2
+"""At the daemon's end: a request that waits for more than orders that have ended has no answer."""
+
 LINGER_S = 5.0
 
 MAX_LINGERING = 64
@@ -485,10 +488,12 @@ class _Batch:
 
 class Turns:
     """Sessions with lines to process: one line, or one request of a batch, of each in turn, those beyond the places
-    first, TURN_S at a time."""
+    first, TURN_S at a time, and half of the time at most while control ticks are due (`Slices.rest_s`)."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, slices: Slices) -> None:
         self._loop = loop
+        self._slices = slices
+        self._rests_until = 0.0
         self._waiting: deque[Session] = deque()
         self._queued: set[Session] = set()
         self._due = False
@@ -502,12 +507,19 @@ class Turns:
             else:
                 self._waiting.append(session)
         if not self._due:
-            self._due = True
+            self._run_later()
+
+    def _run_later(self) -> None:
+        self._due = True
+        rest_s = self._rests_until - self._slices.now()
+        if rest_s > 0.0:
+            self._loop.call_later(rest_s, self._run)
+        else:
             self._loop.call_soon(self._run)
 
     def _run(self) -> None:
         self._due = False
-        deadline = self._loop.time() + TURN_S
+        began = now = self._slices.now()
         waiting = self._waiting
         while waiting:
             session = waiting.popleft()
@@ -521,13 +533,14 @@ class Turns:
                 waiting.append(session)
             else:
                 self._queued.discard(session)
-            if self._loop.time() > deadline:
+            now = self._slices.now()
+            if now - began > TURN_S:
                 break
+        self._rests_until = now + self._slices.rest_s(now - began)
         if waiting:
             for session in waiting:
                 session.hold_back()
-            self._due = True
-            self._loop.call_soon(self._run)
+            self._run_later()
 
 
 class Sessions:
@@ -539,7 +552,7 @@ class Sessions:
         self.loop = loop
         self.slices = Slices(loop, services.fleet.next_control_tick)
         self.feeds = Feeds(services, loop, self.slices)
-        self.turns = Turns(loop)
+        self.turns = Turns(loop, self.slices)
         self.counters: Counter[str] = Counter()
         self.lasting: set[asyncio.Task[bytes]] = set()
         """Orders that end a flight: they belong to no session, so that no session's end ends them."""
@@ -701,9 +714,12 @@ class Sessions:
         }
 
     async def close(self) -> None:
-        """End every session, and what outlives them; wait for all of it."""
+        """End every session, and what outlives them; wait for all of it. Orders that the daemon's end has ended are
+        answered before."""
         sessions = self.sessions
         tasks: list[asyncio.Task[Any]] = [task for session in sessions for task in session.tasks]
+        if tasks:
+            await asyncio.wait(tasks, timeout=ANSWERED_S)
         tasks += self.lasting
         for session in sessions:
             session.close()

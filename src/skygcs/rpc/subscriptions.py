@@ -295,7 +295,10 @@ class QueuedStream:
     def _flush(self) -> None:
         self._flush_due = False
         for member in tuple(self.members):
-            member.flush()
+            try:
+                member.flush()
+            except Exception as error:  # one client's fault is not the others'
+                _log.error("what was subscribed to cannot be written", exc_info=error)
         if all(member.next == self.end for member in self.members):
             self.queue.clear()
 

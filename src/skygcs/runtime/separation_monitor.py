@@ -369,16 +369,25 @@ class SeparationMonitor:
                 yield Other(lost[key])
 
     def _present(self, track: Track, *, sent: bool) -> Iterator[Other]:
-        """A vehicle where it is, and where it was ``sent``, if it was. Only what is seen flying there has left its
-        place: it may not have taken the order, or another station, or setpoints, may have moved it since."""
-        destination, frame = self.ways.destination(track.key) if sent else None, self.monitor.tracks.frame
-        goal_m = None if destination is None or frame is None else frame.from_geodetic(*destination)
-        if goal_m is None or track.parked or track.lost:
+        """A vehicle where it is, and where it was ``sent``, if it was; for a stream where it flies by now, on and up to
+        its stop there. Only what is seen flying there has left its place: it may not have taken the order, or another
+        station, or setpoints, may have moved it since."""
+        destination, frame = self.ways.destination(track.key), self.monitor.tracks.frame
+        if destination is None or frame is None or track.parked or track.lost:
             yield Other(track)
-        elif way_to(track, track.velocity_mps, goal_m) is None and math.dist(track.place_m, goal_m) > track.circle_m:
+            if sent and destination is not None:
+                yield Other(track, destination)
+            return
+        goal_m = frame.from_geodetic(*destination)
+        way = way_to(track, track.velocity_mps, goal_m)
+        if not sent:
+            yield Other(track)
+            if way is not None and not track.circle_m:
+                yield Other(track, stops_in_s=way.duration_s)
+            return
+        if way is None and math.dist(track.place_m, goal_m) > track.circle_m:
             yield Other(track, stays_yet=True)
-        if destination is not None:
-            yield Other(track, destination)
+        yield Other(track, destination)
 
     def _refusal(self, conflict: str | None) -> str | None:
         counters = self.monitor.counters

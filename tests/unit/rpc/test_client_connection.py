@@ -8,6 +8,7 @@ import json
 import math
 import os
 import pwd
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,7 @@ async def test_what_is_no_answer_ends_the_connection_and_nothing_else(sent: byte
 def test_the_whole_lines_before_one_without_end_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_connection, "MAX_REPLY_BYTES", 100)
     connection = ClientConnection("a socket")
-    connection.transport = Mock()
+    connection.transport = Mock(get_write_buffer_size=Mock(return_value=0))
     answers: list[Any] = []
     for number in (1, 2, 3):
         connection._calls[number] = _Call(lambda result, error: answers.append(result or error), "daemon.info", {})
@@ -155,7 +156,7 @@ def test_the_whole_lines_before_one_without_end_are_read(monkeypatch: pytest.Mon
 
 def test_what_json_cannot_carry_is_not_sent() -> None:
     connection = ClientConnection("a socket")
-    connection.transport = Mock()
+    connection.transport = Mock(get_write_buffer_size=Mock(return_value=0))
     for send in (lambda p: connection.notify("x", p), lambda p: connection.start("x", p, lambda result, error: None)):
         with pytest.raises(ValueError, match="JSON"):
             send({"height_m": math.nan})
@@ -168,3 +169,24 @@ async def test_a_line_without_end_is_not_kept(tmp_path: Path, monkeypatch: pytes
     async with lied_to(tmp_path / "s", b"x" * 10_000, 1000) as connection:
         with pytest.raises(DaemonUnreachable, match="without the end of a line"):
             await connection.request("daemon.info", {})
+
+
+async def test_a_daemon_that_answers_or_reads_nothing_makes_its_client_keep_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = socket.socket(socket.AF_UNIX)
+    server.bind(str(tmp_path / "s.sock"))
+    server.listen()
+    for bound, most in ("MAX_UNANSWERED", 7), ("MAX_UNSENT_BYTES", 1 << 20):
+        with monkeypatch.context() as patch:
+            patch.setattr(client_connection, bound, most)
+            connection = await open_connection(str(tmp_path / "s.sock"))
+            with pytest.raises(RpcError, match=r"vehicles.get is not sent: .* connect anew"):
+                for _ in range(40):
+                    connection.start("vehicles.get", {"target": "x" * 100_000}, Mock())
+            assert (len(connection._calls) == 7) is (bound == "MAX_UNANSWERED")
+            assert connection.transport.get_write_buffer_size() < 1_300_000
+            connection.notify("unsubscribe", {"subscription": 1})
+            connection.transport.abort()
+            await connection.close()
+    server.close()

@@ -324,6 +324,15 @@ async def test_orders_without_client_are_bounded_and_end_with_the_daemon(
     assert alpha.cancelled == 3
 
 
+async def test_an_order_that_ends_with_the_daemon_is_answered(bench: Bench) -> None:
+    peer, alpha = await bench.connect(), bench.daemon.vehicle("alpha")
+    alpha.delay_s = 0.05
+    peer.send(arm(1, "alpha"))
+    await bench.until(lambda: bool(alpha.orders))
+    await bench.server.close()
+    assert (await peer.answer())["id"] == 1
+
+
 async def test_a_client_that_only_stops_sending_is_still_answered(bench: Bench) -> None:
     peer = await bench.connect()
     bench.daemon.vehicle("alpha").delay_s = 0.05

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import math
 from collections.abc import Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 
@@ -16,6 +18,7 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
 from skygcs.ext.params import methods as params
 from skygcs.rpc import slices
+from skygcs.rpc.sessions import Turns
 from skygcs.rpc.slices import AHEAD_S, LOOK_S, ORDER_S, PAUSE_S, PUT_OFF_S, Slices
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.task_set import OneATurn
@@ -67,6 +70,27 @@ async def test_a_slice_is_followed_by_a_pause_only_while_an_order_is_on_its_way(
     assert pauses.pause_s() == PAUSE_S
     await asyncio.sleep(ORDER_S)
     assert pauses.pause_s() == 0.0
+
+
+@pytest.mark.looptime
+@each("due_s", [0.0, math.inf])
+async def test_requests_have_half_of_the_time_while_control_ticks_are_due(due_s: float) -> None:
+    """And no more of it for a client that sends the next one when it has the answer."""
+    loop, begun = asyncio.get_running_loop(), list[float]()
+    pauses = Slices(loop, lambda: due_s)
+    pauses.now = lambda: loop.time() + 0.006 * len(begun)  # each takes 6 ms of the loop
+    turns = Turns(loop, pauses)
+
+    def work() -> bool:
+        begun.append(loop.time())
+        return len(begun) < 3  # then one at a time
+
+    session = Mock(work=work, restricted=False)
+    while len(begun) < 5:
+        turns.add(session)
+        await asyncio.sleep(0.001)
+    paused = [after - before for before, after in itertools.pairwise(begun)]
+    assert paused == pytest.approx([0.006 if due_s == 0.0 else 0.0] * 4, abs=0.0011)
 
 
 class Ticks:

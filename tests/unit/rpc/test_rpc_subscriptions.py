@@ -6,6 +6,7 @@ import asyncio
 import json
 import sys
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -333,6 +334,14 @@ async def test_messages_are_decoded_with_their_source_and_age(reported: Told) ->
     assert (heartbeat["vehicle"], heartbeat["name"]) == (None, "HEARTBEAT")
     with pytest.raises(InvalidParams, match="NONSENSE"):
         reported.add(2, topic="messages", names=["ATTITUDE", "NONSENSE"])
+
+
+async def test_a_client_whose_output_fails_delays_no_other(reported: Told) -> None:
+    (broken, _), (reader, _) = reported.add(1, topic="events"), reported.add(2, topic="events")
+    broken.write = Mock(side_effect=RuntimeError("closed"))  # type: ignore[method-assign]
+    reported.daemon.emit("warning", "alpha", "x")
+    await settle()
+    assert [n["event"]["text"] for n in reader.take()] == ["x"]
 
 
 @pytest.mark.looptime

@@ -12,6 +12,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.geo import EnuFrame
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.monitor.mission_ways import MissionRun
+from skygcs.core.vehicle.frames import Setpoint
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
@@ -241,6 +242,24 @@ async def test_what_hovers_and_was_sent_nowhere_does_not_speed_up_by_its_noise(s
             actor, sky.monitor.ways.sent_to(actor, EnuFrame(ORIGIN).to_geodetic(30.0, 0.0, 20.0)), ok=True
         )
     assert (sky.monitor.goto_refusal(actor.vehicle, place, frozenset()) is not None) is refused
+    sky.fleet.close()
+
+
+@pytest.mark.parametrize("sent", [False, True])
+async def test_a_stream_does_not_lead_to_where_another_will_stand(sent: bool) -> None:
+    """It flew on past there for the check, until it stood 1.7 m in front of the other (random flight 2010)."""
+    sky = Sky(2)
+    now, frame, (one, other) = sky.loop.time(), EnuFrame(ORIGIN), sky.vehicles
+    for vehicle, at, velocity in ((one, (0.0, 0.0, 20.0), (0.0,) * 3), (other, (4.5, 4.0, 20.0), (0.0, -8.0, 0.0))):
+        vehicle.heartbeat(now)
+        vehicle.position(now, at, velocity)
+    await sky.monitor.evaluate()
+    actor, beside = sky.fleet.vehicles[one.vehicle.key], sky.fleet.vehicles[other.vehicle.key]
+    if sent:
+        to = frame.to_geodetic(4.5, 0.0, 20.0)
+        sky.monitor.ways.arriving(beside, sky.monitor.ways.sent_to(beside, to), ok=True)
+    wanted = Setpoint(vel_enu_mps=(1.3, 0.0, 0.0))
+    assert (sky.monitor.setpoint_refusal(actor.vehicle, wanted, frozenset()) is not None) is sent
     sky.fleet.close()
 
 

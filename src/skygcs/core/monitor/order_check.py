@@ -126,6 +126,8 @@ class Other(NamedTuple):
     destination: Place | None = None
     stays_yet: bool = False
     """It was sent elsewhere, and is not seen flying there."""
+    stops_in_s: float = math.inf
+    """When it comes to rest since its last position, as it is seen flying where it was sent."""
 
 
 class _Path(NamedTuple):
@@ -336,7 +338,8 @@ def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tup
         return here, (), horizon_s
     if speed_mps <= 2 * NOISE_MPS:
         return here, (), horizon_s
-    return here, (Piece(math.inf, (u, v, w)),), horizon_s if path.ahead_s == 0.0 else min(horizon_s, HORIZON_S)
+    flies_s = max(0.0, other.stops_in_s - age_s)
+    return here, (Piece(flies_s, (u, v, w)),), horizon_s if path.ahead_s == 0.0 else min(horizon_s, HORIZON_S)
 
 
 def _text(mover: Mover, other: Other, separation: float, radius_m: float, age_s: float) -> str:

@@ -44,7 +44,7 @@ READ_BYTES = 1 << 16
 """A pipe of Linux holds so much: frames of two bodies for three seconds at 200 Hz."""
 
 TAKEN_BYTES, LEAST_FRAMES = 1 << 14, 2
-"""Bytes of one read that are taken, 10 ms of the loop: 140 frames of two bodies, ten of 35. The newest frame may have
+"""Bytes of one read that are taken, 10 ms: 140 frames of two bodies, ten of 35. The newest frame may have
 come in part, so the one before it is taken, too."""
 
 FLOOD_BYTES, FLOOD_PAUSE_S = READ_BYTES // 2, 0.02
@@ -169,6 +169,8 @@ class CaptureProcess:
             taken = newest_frames(lines)
             for line in taken:
                 self._on_line(line, now)
+                if len(data) >= FLOOD_BYTES:  # a control tick comes between: a frame of 20 bodies takes 0.6 ms
+                    await asyncio.sleep(0)
             if len(rest) > MAX_LINE_BYTES:  # longer than any line: it writes something else
                 self.bad_lines += 1
                 self._why_killed = "its process writes a line that is not poses"

@@ -396,6 +396,8 @@ def test_a_take_off_is_compared_with_each_other(height_m: float, there: Other, f
         (None, (-2.0, 0.0, 0.0), other(2.0, 0.0, 0.0), False),  # too near already, and away from it
         (None, (0.0, 0.0, 0.0), other(5.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), True),
         (None, (0.0, 0.0, 0.0), other(6.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), False),
+        (None, (1.3, 0.0, 0.0), other(4.5, 4.0, 0.0, vel=(0.0, -8.0, 0.0)), False),  # it is past in time
+        (None, (1.3, 0.0, 0.0), other(4.5, 4.0, 0.0, vel=(0.0, -8.0, 0.0))._replace(stops_in_s=0.5), True),
     ],
 )
 def test_a_setpoint_is_compared_with_each_other(to: Vector | None, velocity: Vector, there: Other, found: bool) -> None:

@@ -94,7 +94,11 @@ async def test_after_a_flood_the_next_read_is_later() -> None:
     capture = Capture()
     flood = [line + b"\n" for line in frames(1000, 2)]
     capture.pipe.feed_data(b"".join(flood[:500]))
-    await asyncio.sleep(0.001)
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert len(capture.taken) <= 2, "the loop has its turn between frames"
+    for _ in range(500):
+        await asyncio.sleep(0)
     taken, skipped = len(capture.taken), capture.made.skipped
     assert taken + skipped == 500 and skipped
     capture.pipe.feed_data(b"".join(flood[500:]))
