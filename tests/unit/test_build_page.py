@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -60,3 +61,21 @@ def test_packages_come_by_the_lock_file_and_none_of_their_scripts_is_run(checkou
     build(checkout)
     words = (checkout / "npm.txt").read_text().split()
     assert words[0] == "ci" and "--ignore-scripts" in words
+
+
+def test_checks_that_passed_are_not_repeated_before_a_source_changes(checkout: Path) -> None:
+    page, said = checkout / "src/skygcs/web/page", checkout / "npm.txt"
+    (checkout / "bin/npm").write_text(
+        f'#!/bin/sh\necho "$@" >> "{said}"\ncd {page} && mkdir -p node_modules build ../static\n'
+        "touch node_modules/.package-lock.json build/tests.js ../static/index.html\n"
+    )
+
+    def checked() -> bool:
+        before = said.read_text().count(" check\n") if said.exists() else 0
+        assert build(checkout, "--check").returncode == 0
+        return said.read_text().count(" check\n") > before
+
+    assert build(checkout).returncode == 0  # built only
+    assert [checked(), checked()] == [True, False]
+    os.utime(page / "package-lock.json")
+    assert [checked(), checked()] == [True, False]

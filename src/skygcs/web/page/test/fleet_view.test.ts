@@ -235,7 +235,7 @@ test("after a frame that took long as much time is left to the page before the n
   fly([100, 40]);
   assert.equal(view.figures.frames, frames);
   browser.nowMs += lastMs;
-  fly([100, 40]);
+  fly([101, 40]);
   assert.equal(view.figures.frames, frames + 1);
 });
 
@@ -248,12 +248,33 @@ test("a state that comes soon before one is due is drawn in its frame, and an ea
   const { frames } = view.figures;
   const drawnAfter = (ms: number): number => {
     browser.nowMs += ms;
-    store.dispatch({ type: "batch", batch: batch([vehicle("v1", 1, { position: position(100, 40, 10) })], { seq: 100 }), atMs: browser.nowMs });
+    store.dispatch({ type: "batch", batch: batch([vehicle("v1", 1, { position: position(100 + ms, 40, 10) })], { seq: 100 }), atMs: browser.nowMs });
     browser.frame();
     return view.figures.frames - frames;
   };
   assert.equal(drawnAfter(20), 0);
   assert.equal(drawnAfter(119), 1); // 190 ms after the one before, of 200
+});
+
+test("vehicles that stand are drawn once a second, and what a state changes with that state", () => {
+  const { browser, view, fly } = shown();
+  view.attach(browser.canvas, browser.ground);
+  const framesIn = (states: number, ...at: [number, number][]): number => {
+    const { frames } = view.figures;
+    for (let i = 0; i < states; i++) {
+      browser.nowMs += 66; // a state each 100 ms
+      fly(...at);
+    }
+    return view.figures.frames - frames;
+  };
+  framesIn(20, [100, 40], [120, 60]);
+  assert.ok(framesIn(40, [100, 40], [120, 60]) <= 4);
+  assert.ok(framesIn(2, [100.5, 40], [120, 60]) > 0);
+  assert.ok(framesIn(20, [100.5, 40], [120, 60]) < 10); // a second of settling
+  view.setOverlay("drawn", { shapes: [] });
+  const { frames } = view.figures;
+  browser.frame();
+  assert.equal(view.figures.frames, frames + 1);
 });
 
 test("a shape that cannot be drawn stops neither the vehicles above it nor the next frame", () => {

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { fitted, lengthText, niceLengthM, toScreenX, toScreenY, toWorld, zoomedAt, type Camera } from "../src/view/camera.ts";
 import { frameAt, fromGeodetic, placeImage, toGeodetic, turned, yawOf } from "../src/view/frame.ts";
 import { leaderOf, placeLabels } from "../src/view/labels.ts";
-import { labelLine, meetingsOf, sceneOf } from "../src/view/scene.ts";
+import { labelLine, meetingsOf, pictureOf, sceneOf } from "../src/view/scene.ts";
 import { topOf } from "../src/view/side_view.ts";
 import { EMPTY, reduce } from "../src/store.ts";
 import { batch, position, vehicle } from "./fleet.ts";
@@ -210,6 +210,18 @@ test("a conflict is one for its two vehicles, and may have lost its numbers", ()
   const meetings = meetingsOf(scene([a, b], 0, false).scene, frameAt(ORIGIN));
   assert.equal(meetings.length, 1);
   assert.equal(meetings[0]?.x, 6);
+});
+
+test("all that a person can see of a fleet that stands makes its picture another one, and less than a pixel does not", () => {
+  const text = (more: object = {}, nowMs = 0) => pictureOf(scene([vehicle("a", 1, more)], nowMs).scene, 8);
+  const at = (x: number, more: object = {}) => ({ position: position(x, 0, 10, more) });
+  const before = text();
+  assert.equal(text({ ...at(0.01, { yaw_world_deg: 90.1, vel_world_mps: [0.01, 0, 0] }), uptime_s: 7 }), before);
+  const others = [at(0.1), at(0, { yaw_world_deg: 92 }), at(0, { alt_rel_m: 10.2 }), { armed: false }, { failsafe: true }].map((more) => text(more));
+  const seen = [before, ...others, text({}, 6_000), text({}, 12_000)];
+  assert.equal(new Set(seen).size, seen.length);
+  assert.equal(text(at(0, { vel_world_mps: [2, 0, 0] })), null);
+  assert.equal(text({ separation: { level: "warning", with: "b" } }), null);
 });
 
 test("the side view does not breathe with each climb", () => {

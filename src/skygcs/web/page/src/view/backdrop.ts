@@ -15,6 +15,10 @@ export class Backdrop {
     this.paintedMs = -Infinity;
   }
 
+  get isStale(): boolean {
+    return this.paintedMs === -Infinity;
+  }
+
   /** True: it has to be painted now, and counts as painted from here on. */
   due(camera: Camera, nowMs: number): boolean {
     const kept = this.camera !== null && sameCamera(this.camera, camera) && nowMs - this.paintedMs <= BACKDROP_EVERY_MS;

@@ -15,7 +15,7 @@ import { MapLayer } from "./map_layer.ts";
 import type { Overlay, PointerAt, Tool } from "./overlays.ts";
 import { readPalette, type Palette } from "./palette.ts";
 import { Sprites, type Pen } from "./sprites.ts";
-import { labelLine, meetingsOf, sceneOf, type Body, type Scene } from "./scene.ts";
+import { labelLine, meetingsOf, pictureOf, sceneOf, type Body, type Scene } from "./scene.ts";
 import { drawSideBodies, drawSideGround, sidePxOf, sideScale, topOf, type SideScale } from "./side_view.ts";
 
 const START: Camera = { x: 0, y: 0, pxPerM: 8, widthPx: 0, heightPx: 0 };
@@ -46,6 +46,9 @@ const MOST_OF_STEP = 0.7;
 const STATE_WITHIN_MS = 200;
 /** Of vehicles that move with the states alone each state is drawn. */
 const EACH_STATE_MS = 100;
+/** A picture that stays the same is drawn so often only: a fleet that waits on the ground for hours, on a laptop's battery, cost as
+ *  much as one in flight. So long after a change each frame is drawn, until labels and trails have settled. */
+const SAME_PICTURE_MS = 1000;
 /** A state that comes before one is due is drawn with the next one, which makes a frame for the table in any case, or after so long. */
 const NEXT_STATE_MS = 130;
 
@@ -103,6 +106,9 @@ export class FleetView extends Changes {
   private scene: Scene = { bodies: [], acrossMps: 0, upMps: 0, jumps: false };
   private arrows: readonly Arrow[] = [];
   private requested = false;
+  /** More than states asks for the next frame: it is drawn though it shows the same vehicles. */
+  private wanted = true;
+  private picture: { text: string | null; sinceMs: number; drawnMs: number } = { text: null, sinceMs: 0, drawnMs: 0 };
   /** The frame of the screen that was drawn last: none is drawn twice. */
   private frameDrawn: number | null = null;
   /** A frame that is drawn later unless another one comes first. */
@@ -135,7 +141,8 @@ export class FleetView extends Changes {
     store.subscribe((state, inFrame) => {
       this.onState(state);
       // the answer to a key or a click does not wait for the canvas, and no frame of the screen is drawn twice
-      if (!inFrame || this.frameDrawn === screenFrame()) this.redraw();
+      if (!inFrame) this.redraw();
+      else if (this.frameDrawn === screenFrame()) this.requestFrame();
       else if (this.canvas !== null && !this.requested) this.drawState();
     });
     onTheme(() => this.forgetPictures());
@@ -281,6 +288,13 @@ export class FleetView extends Changes {
   }
 
   redraw(): void {
+    this.wanted = true;
+    this.requestFrame();
+  }
+
+  // --- inside
+
+  private requestFrame(): void {
     if (this.requested || this.canvas === null) return;
     this.requested = true;
     requestAnimationFrame(() => {
@@ -288,8 +302,6 @@ export class FleetView extends Changes {
       this.drawTimed();
     });
   }
-
-  // --- inside
 
   /** Something beneath the vehicles changed. */
   private repaint(): void {
@@ -367,9 +379,11 @@ export class FleetView extends Changes {
     const begun = performance.now();
     this.contained(() => this.drawAll(begun));
     const took = performance.now() - begun;
-    this.figures.frames += 1;
-    this.figures.lastMs = took;
-    this.figures.longestMs = Math.max(this.figures.longestMs, took);
+    if (this.picture.drawnMs === begun) {
+      this.figures.frames += 1;
+      this.figures.lastMs = took;
+      this.figures.longestMs = Math.max(this.figures.longestMs, took);
+    }
     const { camera, scene } = this;
     const sidePxPerM = this.options.side ? (this.heightPx - camera.heightPx) / Math.max(this.sideTopM, 1) : 0;
     const stepMs = (1000 * STEP_PX) / (Math.max(scene.acrossMps * camera.pxPerM, scene.upMps * sidePxPerM) * this.ratio);
@@ -403,11 +417,11 @@ export class FleetView extends Changes {
   /** Draws after so long, if nothing is drawn before. */
   private redrawIn(ms: number): void {
     const atMs = performance.now() + ms;
-    if (ms <= 0) this.redraw();
+    if (ms <= 0) this.requestFrame();
     if (ms <= 0 || atMs >= this.laterAtMs) return;
     clearTimeout(this.later);
     this.laterAtMs = atMs;
-    this.later = setTimeout(() => this.redraw(), ms);
+    this.later = setTimeout(() => this.requestFrame(), ms);
   }
 
   private drawAll(nowMs: number): void {
@@ -423,6 +437,9 @@ export class FleetView extends Changes {
     const palette = this.palette;
     this.scene = sceneOf(this.store.state, this.frame, nowMs, !this.stillMotion.matches);
     this.steer();
+    if (this.showsAlready(nowMs)) return;
+    this.wanted = false;
+    this.picture.drawnMs = nowMs;
     const { bodies } = this.scene;
     const shown = this.visible(this.camera);
     const afar = shown.length > MANY_SHOWN;
@@ -440,6 +457,14 @@ export class FleetView extends Changes {
     if (!painted) this.backdrop.stale();
     pen.clearRect(0, 0, canvas.width, canvas.height); // of whole pixels of the screen: what was there need not be kept
     this.on(pen, () => this.drawVehicles(pen, look));
+  }
+
+  /** The scene has been drawn, a short while ago, and has not changed for a longer one. */
+  private showsAlready(nowMs: number): boolean {
+    const text = pictureOf(this.scene, this.camera.pxPerM * this.ratio);
+    if (text === null || text !== this.picture.text) Object.assign(this.picture, { text, sinceMs: nowMs });
+    const settled = nowMs - this.picture.sinceMs > SAME_PICTURE_MS;
+    return settled && !this.wanted && !this.backdrop.isStale && nowMs - this.picture.drawnMs < SAME_PICTURE_MS;
   }
 
   /** Draws in pixels of the page, and leaves nothing of the pen's settings behind: a clip would hold for all that follows. */

@@ -104,6 +104,26 @@ export function labelLine(body: Body): string {
   return speed === null ? `${height} m` : `${height} m  ${speed} m/s`;
 }
 
+/** All that is drawn of a scene, places in quarters of a pixel of the screen: equal texts are equal pictures. Null: it moves by
+ *  itself, or two are about to meet. */
+export function pictureOf({ bodies, acrossMps, upMps }: Scene, pxPerM: number): string | null {
+  if (acrossMps > 0 || upMps > 0 || bodies.some(({ conflict }) => conflict !== null)) return null;
+  const px = (m: number): number => Math.round(m * pxPerM * 4);
+  return JSON.stringify(
+    bodies.map((body) => ({
+      ...body,
+      vehicle: null, // of it the label is drawn
+      speedMps: null,
+      x: px(body.x),
+      y: px(body.y),
+      z: px(body.z),
+      yawRad: body.yawRad === null ? null : Math.round(body.yawRad * 100),
+      goal: body.goal?.map((m) => px(m)),
+      label: labelLine(body),
+    })),
+  );
+}
+
 /** Two vehicles that are about to meet, once, with where they will be then. */
 export interface Meeting {
   a: Body;
