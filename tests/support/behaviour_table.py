@@ -1,4 +1,4 @@
-"""docs/reference/simulated-firmware.md: the table of `skygcs.sim.behaviours` as a page. Run this module to write it."""
+"""docs/reference/simulated-firmware.md: `skygcs.sim.behaviours` as a page. Run this module to write it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,16 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulated-firmware.md
 
 INTRODUCTION = """# What the simulated firmwares do
 
-Values that the simulated vehicles take from a firmware; a value in brackets is what the simulator does instead.
+Values that the simulated vehicles take from a firmware: PX4 1.16.1 / ArduCopter 4.6.3, or below
+each other; "-" for none. A value in brackets is what the simulator does instead.
 `skygcs.sim.behaviours`, of which this page is made, names the place in the firmware's source, and what was measured.
 `tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real firmware.
 
 """
 
+
+LONGEST = 120
+"""Characters of both values in one line."""
 
 BY_THE_MODULE_ALONE = {
     *("modes", "answers", "climb_accel", "brake", "crash", "control_gains", "home_follows"),
@@ -34,8 +38,11 @@ def words(value: Any) -> str:
     if isinstance(value, Reactions):
         if not value.param:
             return "nothing"
-        parts = [f"{number} {reaction.value}" for number, reaction in value.by_value.items()]
-        return f"{value.param}: " + ", ".join([*parts, f"else {value.otherwise.value}"])
+        numbers: dict[str, list[str]] = {}
+        for number, reaction in value.by_value.items():
+            numbers.setdefault(reaction.value, []).append(str(number))
+        parts = [f"{','.join(same)} {reaction}" for reaction, same in numbers.items()]
+        return f"{value.param} = " + "; ".join([*parts, f"else {value.otherwise.value}"])
     if isinstance(value, MissionRules):
         kept = f"{value.missions} items, {value.fence} corners, {value.rally} rally points"
         return f"asks again after {value.retry_s:g} s, gives up after {value.give_up_s:g} s; {kept}"
@@ -63,31 +70,33 @@ def cell(fact: Fact[Any]) -> str:
 
 
 def modes(of: Fact[dict[int, ModeRule]], names: type[CopterMode] | type[Px4Mode]) -> list[str]:
-    """Modes of one kind are one row."""
+    """Modes of one kind are one item."""
     alike: dict[str, list[str]] = {}
     for number, rule in of.value.items():
         needs = [name for name, needed in (("position", rule.position), ("sticks", rule.sticks)) if needed]
-        entered = "yes" if rule.by_command else "no"
-        arms = "yes" if rule.arms else "no"
-        alike.setdefault(f"{arms} | {', '.join(needs) or '-'} | {entered}", []).append(names(number).name)
-    rows = [f"| {', '.join(found)} | {cells} |" for cells, found in alike.items()]
-    return ["| mode | armed in | needs | by DO_SET_MODE |", "| --- | --- | --- | --- |", *rows]
+        kind = ["may be armed" if rule.arms else "not armed", *(f"needs {name}" for name in needs)]
+        kind += [] if rule.by_command else ["not entered by DO_SET_MODE"]
+        alike.setdefault(", ".join(kind), []).append(names(number).name)
+    return [f"- {', '.join(found)}: {kind}" for kind, found in alike.items()]
 
 
-def table() -> str:
+def items() -> str:
     """Both firmwares side by side, then the modes of each."""
     both = (PX4, COPTER)
-    names = [f"{firmware.name} {firmware.version}" for firmware in both]
-    lines = [f"| behaviour | {' | '.join(names)} |", "| --- | --- | --- |"]
+    lines = []
     for field in fields(PX4):
         facts = [getattr(firmware, field.name) for firmware in both]
         if field.name not in BY_THE_MODULE_ALONE and all(isinstance(fact, Fact) for fact in facts):
-            lines.append(f"| {in_words(field.name)} | {' | '.join(map(cell, facts))} |")
-    for firmware, name in zip(both, names, strict=True):
-        lines += ["", f"## Modes of {name}", ""]
+            px4, copter = map(cell, facts)
+            told = px4 if px4 == copter else f"{px4} / {copter}"
+            if len(told) > LONGEST:
+                told = f"\n    - {px4}\n    - {copter}"
+            lines.append(f"- {in_words(field.name)}: {told}".replace(": \n", ":\n"))
+    for firmware in both:
+        lines += ["", f"## Modes of {firmware.name} {firmware.version}", ""]
         lines += modes(firmware.modes, Px4Mode if firmware is PX4 else CopterMode)
     return "\n".join([*lines, ""])
 
 
 if __name__ == "__main__":
-    PAGE.write_text(INTRODUCTION + table(), encoding="utf-8")
+    PAGE.write_text(INTRODUCTION + items(), encoding="utf-8")

@@ -12,10 +12,12 @@ PAGE = ROOT / "docs" / "explanation" / "safety.md"
 SPAN = re.compile(r"`([^`]+)`")
 
 
-def rows() -> list[list[str]]:
-    """The cells of the table of promises."""
-    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
-    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[1:]]
+def rows() -> list[tuple[str, str, str, str]]:
+    """The promises of the list: promise, what enforces it, what proves it, what is not covered."""
+    text = re.sub(r"\n  ", " ", PAGE.read_text(encoding="utf-8"))
+    found = re.findall(r"^- (\*\*.+?) \*Not covered:\* (.+?)\. Code: (.+?)\. Tests: (.+)\.$", text, re.MULTILINE)
+    assert len(found) == len(re.findall(r"^- \*\*", text, re.MULTILINE))
+    return [(promise, code, tests, rest) for promise, rest, code, tests in found]
 
 
 @cache
@@ -25,11 +27,9 @@ def functions_of(path: Path) -> frozenset[str]:
     return frozenset(n.name for n in nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef))
 
 
-def test_each_promise_has_its_four_cells() -> None:
+def test_there_are_promises_in_bold() -> None:
     assert len(rows()) >= 20
-    for row in rows():
-        assert len(row) == 4 and all(row), row
-        assert row[0].startswith("**") and row[0].count("**") == 2, row[0]
+    assert [row[0] for row in rows() if row[0].count("**") != 2] == []
 
 
 def test_what_enforces_a_promise_exists() -> None:

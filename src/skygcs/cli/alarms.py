@@ -91,7 +91,7 @@ def alarm_lines(alarms: list[Mapping[str, Any]], now_unix_s: float) -> Iterator[
 
 
 def acknowledged_lines(alarms: list[Mapping[str, Any]]) -> Iterator[str]:
-    """How many, and each in a line."""
+    """The number of alarms, then a line for each."""
     yield f"{plural(len(alarms), 'alarm')} acknowledged" if alarms else "no open alarm"
     for alarm in alarms:
         yield f"  {alarm['number']}  {alarm['vehicle'] or '-'}  {alarm['kind']}: {alarm['text']}"

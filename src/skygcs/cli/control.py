@@ -343,7 +343,8 @@ def track_table(states: Sequence[State], width: int = PIPE_WIDTH) -> RenderableT
     if not states:
         return Text(f"no vehicle {NOTHING_HEARD}")
     rows = [track_cells(state) for state in states]
-    shown = fitting(TRACK_COLUMNS, rows, width, TRACK_LEAVES_OUT, ())
+    known = [column if any(row[i] for row in rows) else "" for i, column in enumerate(TRACK_COLUMNS)]
+    shown = fitting(known, rows, width, TRACK_LEAVES_OUT, ())
     columns = [TRACK_COLUMNS[i] for i in shown]
     styles = [_styles(state) for state in states]
     cells = [

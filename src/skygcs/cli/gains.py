@@ -33,14 +33,7 @@ from skygcs.core.control.analysis import (
     step_response,
     suggest,
 )
-from skygcs.core.control.gains import (
-    GRAVITY_MPS2,
-    UTIAS_HOVER_THRUST,
-    UTIAS_XY,
-    UTIAS_Z,
-    AxisGains,
-    ControlConfig,
-)
+from skygcs.core.control.gains import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP, velocity_delay_range
 from skygcs.errors import ConfigError
 
@@ -75,8 +68,7 @@ Delay = Annotated[
     ),
 ]
 Reserve = Annotated[
-    float,
-    typer.Option("--reserve", metavar="FACTOR", help="Delay margin divided by delay, at least.", parser=finite),
+    float, typer.Option("--reserve", metavar="FACTOR", help="Delay margin divided by delay, at least.", parser=finite)
 ]
 LoopRate = Annotated[
     float | None,

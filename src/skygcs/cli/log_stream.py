@@ -38,14 +38,14 @@ MAX_PART_CHARS = 8192
 """Text without the end of its line that is kept until its end comes."""
 
 DRAIN_S = 1.0
-"""How long the end of the process waits for lines that are not written yet."""
+"""Longest wait, at the end of the process, for lines that are not written yet."""
 
 ROOM_AGAIN_S = 0.01
 """Pause of the thread between two attempts: some terminals report room and then take nothing."""
 
 LOCK_S = 1.0
-"""How long a write waits for another thread's. None takes so long; at its end the interpreter stops threads where they
-are, and one of them may have the lock for ever."""
+"""Longest wait of a write for another thread's. No write takes so long; but the interpreter stops threads at its end,
+and one of them may hold the lock for ever."""
 
 Write = Callable[[bytes], int]
 """Writes to a descriptor as much as it takes; raises OSError, BlockingIOError for nothing."""

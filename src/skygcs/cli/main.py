@@ -5,12 +5,13 @@ Exit codes: 0 done, 1 refused or failed, 2 usage, 3 daemon not reachable. Contra
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import inspect
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
@@ -89,27 +90,32 @@ def _command(name: str) -> Any:
     importlib.import_module(_MODULE_OF.get(name) or extension_commands()[name][1]).add_to(made)
     made.registered_commands = [c for c in made.registered_commands if command_name(c) == name]
     made.registered_groups = [g for g in made.registered_groups if g.name == name]
-    return literal_help(with_example(without_bool(get_group(made).commands[name])))
+    return finished(get_group(made).commands[name])
 
 
-def literal_help(command: Any) -> Any:
-    """The same command, whose help shows square brackets as they are written (typer reads [federation] as a style of
-    rich, and shows nothing of it), and breaks lines where the terminal ends: typer keeps those of the docstring."""
+def finished(command: Any) -> Any:
+    """The same command and those below it, with help as it is meant to be read: square brackets as they are written
+    (typer reads [federation] as a style of rich, and shows nothing of it), lines that break where the terminal ends
+    (typer keeps those of the docstring), no type for an option that is given or not, arguments without braces, and at
+    the end of a group the example of its first command, of which it shows only a line."""
     command.help = _escaped(re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.help or "")))
-    for option in command.params:
-        option.help = _escaped(getattr(option, "help", None))
-    for inner in getattr(command, "commands", {}).values():
-        literal_help(inner)
-    return command
-
-
-def with_example(command: Any) -> Any:
-    """The same command; the help of a group ends with the example of its first command, of which it shows only a
-    line."""
-    inner = [with_example(one) for one in getattr(command, "commands", {}).values()]
+    context = command.context_class(command, help_option_names=HELP_OPTIONS)
+    for param in (*command.params, command.get_help_option(context)):
+        param.help = _escaped(getattr(param, "help", None))
+        if getattr(param, "is_flag", False) and param.metavar is None:
+            param.metavar = ""
+        if param.param_type_name == "argument":
+            param.get_usage_pieces = functools.partial(_argument_in_usage, param)
+    inner = [finished(one) for one in getattr(command, "commands", {}).values()]
     if inner:
         command.epilog = _example(inner[0])
     return command
+
+
+def _argument_in_usage(argument: Any, _context: Any) -> list[str]:
+    """Its metavar, in brackets if it may be left out; with dots if it may be repeated and its metavar shows no list."""
+    name = argument.metavar or argument.name.upper() + ("" if argument.nargs == 1 else "...")
+    return [name if argument.required else f"[{name}]"]
 
 
 def _example(command: Any) -> str:
@@ -123,24 +129,9 @@ def _escaped(text: str | None) -> str | None:
     return text and re.sub(r"\[(?=[a-z#/@])", r"\\[", text)
 
 
-def without_bool(command: Any) -> Any:
-    """The same command, whose help shows no type for options that are given or not (newer typer shows <bool>)."""
-    context = command.context_class(command, help_option_names=HELP_OPTIONS)
-    _hide_types([*command.params, command.get_help_option(context)])
-    for inner in getattr(command, "commands", {}).values():
-        without_bool(inner)
-    return command
-
-
 def command_name(command: CommandInfo) -> str | None:
     """The name that typer gives to a command."""
     return command.name or (get_command_name(command.callback.__name__) if command.callback else None)
-
-
-def _hide_types(options: Iterable[Any]) -> None:
-    for option in options:
-        if getattr(option, "is_flag", False) and option.metavar is None:
-            option.metavar = ""
 
 
 class _RootGroup(TyperGroup):
@@ -153,28 +144,17 @@ class _RootGroup(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         return list(self.commands)
 
-    def get_params(self, ctx: Any) -> list[Any]:
-        options = super().get_params(ctx)
-        _hide_types(options)
-        return list(options)
-
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         args = hoisted(json_last(args))
         want_json(args)
         if args[:1] == ["help"]:
             args = self._help_arguments(args[1:])
-        return super().parse_args(ctx, args)
+        with usage_errors():
+            return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        try:
+        with usage_errors():
             return super().invoke(ctx)
-        except UsageError as error:
-            error.message = error.message.replace("Value error, ", "").replace("Input should", "should")
-            error.message += _targets_hint(error) or _program_hint(error)
-            if json_is_wanted():
-                fail(error.message)
-                raise typer.Exit(Exit.USAGE) from None
-            raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         formatter.write(front_page(__version__) + "\n")
@@ -189,19 +169,42 @@ class _RootGroup(TyperGroup):
         return [*asked, "--help"]
 
 
-def _targets_hint(error: Any) -> str:
-    """A hint for `land d01 d02`, where d02 is no argument: several targets are one word. Empty for other errors."""
-    left = re.fullmatch(r"Got unexpected extra arguments?(?:\(s\))? \((.+)\)", error.message)
+@contextlib.contextmanager
+def usage_errors() -> Iterator[None]:
+    """Errors in what was typed are one line as all others, not typer's page in a frame."""
+    try:
+        yield
+    except UsageError as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # typer prints the help by itself
+            raise
+        # "Invalid value for 'HEIGHT': 'ten' is not a number" begins with the name
+        text = re.sub(r"^Invalid value(?: for '?([^':]+)'?)?: ", r"\1: ", error.format_message()).removeprefix(": ")
+        for typed, said in (("Value error, ", ""), ("Input should", "should"), (". Did you mean", "; did you mean")):
+            text = text.replace(typed, said)
+        text = re.sub(r"^(No|Got|Missing) ", lambda word: word[0].lower(), text.rstrip("."))
+        if hint := _targets_hint(error, text) or _program_hint(text):
+            text += hint
+        elif error.ctx is not None and not (json_is_wanted() or "did you mean" in text):
+            usage = re.sub(r"\s+", " ", error.ctx.get_usage().removeprefix("Usage: "))
+            text += f"; usage: {usage}" if error.ctx.parent is not None else "; skygcs-cli help lists them"
+        fail(text)
+        raise typer.Exit(Exit.USAGE) from None
+
+
+def _targets_hint(error: Any, text: str) -> str:
+    """A hint for `land d01 d02` and `takeoff d01 d02 10`, where d02 is no argument: several targets are one word. Empty
+    for other errors."""
+    left = re.match(r"got unexpected extra arguments?(?:\(s\))? \((.+?)\)|\w+: '([a-z]\S*)' is not a number", text)
     targets = (error.ctx.params.get("targets") if error.ctx is not None else None) or ""
-    if left is None or not targets:
+    if left is None or targets in ("", "all"):
         return ""
-    return f"; several targets are one word: {','.join([targets, *left[1].split()])}"
+    return f"; several targets are one word: {','.join([targets, *(left[1] or left[2]).split()])}"
 
 
-def _program_hint(error: Any) -> str:
+def _program_hint(text: str) -> str:
     """A hint for `skygcs-cli run`: a command of the other program. Empty for other errors."""
-    unknown = re.match(r"No such command '(.+?)'", error.message)
-    return f" That is: skygcs {unknown[1]}" if unknown is not None and of_skygcs(unknown[1]) else ""
+    unknown = re.match(r"no such command '(.+?)'", text)
+    return f"; that is: skygcs {unknown[1]}" if unknown is not None and of_skygcs(unknown[1]) else ""
 
 
 def json_last(args: list[str]) -> list[str]:

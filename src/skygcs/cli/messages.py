@@ -10,14 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from skygcs.cli.connection import Exit, exit_code, fail, print_outcomes, run, show, waiting
-from skygcs.cli.options import (
-    ComponentTargets,
-    Json,
-    MessageName,
-    complete_links,
-    complete_messages,
-    complete_targets,
-)
+from skygcs.cli.options import ComponentTargets, Json, MessageName, complete_links, complete_messages, complete_targets
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_pairs
 from skygcs.cli.render import duration, plain, print_json, say
 from skygcs.errors import RpcError

@@ -334,11 +334,7 @@ def _upload(
 
 @missions.command("download")
 def _download(
-    vehicle: OneVehicle,
-    file: OutFile = None,
-    only: Lists = None,
-    force: Overwrite = False,
-    json_output: Json = False,
+    vehicle: OneVehicle, file: OutFile = None, only: Lists = None, force: Overwrite = False, json_output: Json = False
 ) -> None:
     """Read a vehicle's mission, fence and rally points.
 

@@ -10,16 +10,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from skygcs.cli.connection import (
-    Exit,
-    client,
-    exit_code,
-    fail,
-    give_order,
-    names_other_sites,
-    run,
-    run_order,
-)
+from skygcs.cli.connection import Exit, client, exit_code, fail, give_order, names_other_sites, run, run_order
 from skygcs.cli.options import (
     ComponentTargets,
     OrderJson,
@@ -40,9 +31,7 @@ Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Try again for 
 Place = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="LAT LON [HEIGHT]",
-        help="Degrees; metres above home, default: its present height.",
-        show_default=False,
+        metavar="LAT LON [HEIGHT]", help="Degrees; metres above home, default: its present height.", show_default=False
     ),
 ]
 HomePlace = Annotated[
@@ -152,8 +141,7 @@ def takeoff(
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm first if it is not armed.")] = True,
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Without a required preflight, or with another vehicle in the way."),
+        bool, typer.Option("--force", help="Without a required preflight, or with another vehicle in the way.")
     ] = False,
     wait: Wait = 0.0,
     json_output: OrderJson = None,
@@ -284,8 +272,7 @@ def forget(
 
 def sysid(
     target: Annotated[
-        str,
-        typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=complete_targets, show_default=False),
+        str, typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=complete_targets, show_default=False)
     ],
     number: Annotated[int, typer.Argument(metavar="N", help="Its new system id, 1 to 250.", show_default=False)],
     force: Annotated[
@@ -352,9 +339,7 @@ def command(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="COMMAND",
-            help="MAV_CMD by name or number: DO_SET_SERVO, 183.",
-            autocompletion=complete_commands,
+            metavar="COMMAND", help="MAV_CMD by name or number: DO_SET_SERVO, 183.", autocompletion=complete_commands
         ),
     ],
     params: Annotated[

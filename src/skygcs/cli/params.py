@@ -37,8 +37,7 @@ Refresh = Annotated[
     bool, typer.Option("--refresh", help="Read all from the vehicle, although it confirms the values known already.")
 ]
 Burst = Annotated[
-    bool,
-    typer.Option("--burst", help="Request all at once: faster on USB or Wi-Fi, but it overloads a shared radio."),
+    bool, typer.Option("--burst", help="Request all at once: faster on USB or Wi-Fi, but it overloads a shared radio.")
 ]
 Include = Annotated[
     str,
@@ -100,8 +99,7 @@ def show_(
     targets: Targets,
     names: Annotated[list[str], typer.Argument(metavar="NAME …", help="Names of parameters.", show_default=False)],
     read: Annotated[
-        bool,
-        typer.Option("--read", help="Read the vehicle's own metadata file over a slow link, too (some 70 kB)."),
+        bool, typer.Option("--read", help="Read the vehicle's own metadata file over a slow link, too (some 70 kB).")
     ] = False,
     json_output: Json = False,
 ) -> None:
@@ -408,12 +406,7 @@ class _SetOutput:
 
 
 async def _set(
-    gcs: Client,
-    targets: str,
-    values: Mapping[str, float],
-    *,
-    force: bool = False,
-    output: _SetOutput | None = None,
+    gcs: Client, targets: str, values: Mapping[str, float], *, force: bool = False, output: _SetOutput | None = None
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Set parameters of vehicles; each vehicle's outcomes go to ``output`` when they are there."""
     shown = output or _SetOutput(True)

@@ -26,6 +26,7 @@ from skygcs.cli.process import (
 from skygcs.cli.topics import OF_SKYGCS, extension_programs, of_skygcs, of_skygcs_cli
 from skygcs.cli.web import add_web, port_number
 from skygcs.errors import SkygcsError
+from skygcs.spelling import near_names
 from skygcs.terminal_text import visible
 
 if TYPE_CHECKING:
@@ -63,8 +64,13 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     """Parse the line, with a parser that does not stay beside the daemon (0.1 MB). Exits 2 if the line is wrong."""
     first = argv[:1]
     parser = new_parser(whole=not first or first[0] not in OF_SKYGCS)
-    if first and not of_skygcs(first[0]) and of_skygcs_cli(first[0]):
-        parser.error(f"{first[0]} is a command of the other program: skygcs-cli {first[0]}")
+    if first and not first[0].startswith("-") and not of_skygcs(first[0]):
+        if of_skygcs_cli(first[0]):
+            parser.error(f"{first[0]} is a command of the other program: skygcs-cli {first[0]}")
+        near = near_names(first[0], (*OF_SKYGCS, *extension_programs()), n=1)
+        parser.error(
+            f"no such command {first[0]!r}; " + (f"did you mean {near[0]!r}?" if near else "see skygcs --help")
+        )
     return parser.parse_args(argv)
 
 
@@ -92,7 +98,7 @@ def new_parser(*, whole: bool = True) -> argparse.ArgumentParser:
 def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The commands about fleet files: run, init, check, import-router."""
     run = commands.add_parser("run", help="run the daemon with a fleet file", epilog="Example: skygcs run fleet.toml")
-    run.add_argument("file", type=Path, metavar="FLEET.toml")
+    run.add_argument("file", type=Path, metavar="FLEET.toml", help="skygcs init writes one to begin with")
     run.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the file's or the default one")
     run.add_argument("--log-dir", type=Path, help="where tlogs go instead of the file's daemon.log_dir")
     run.add_argument("-v", "--verbose", action="store_true", help="log routes, commands and status texts too")

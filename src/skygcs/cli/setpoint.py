@@ -88,8 +88,7 @@ BodyRates = Annotated[
 ]
 Thrust = Annotated[float | None, typer.Option("--thrust", metavar="0..1", help="Raw: collective.", parser=finite)]
 Acceleration = Annotated[
-    Vector | None,
-    typer.Option("--acc", metavar="X Y Z", help="m/s²: feed-forward; alone: raw.", show_default=False),
+    Vector | None, typer.Option("--acc", metavar="X Y Z", help="m/s²: feed-forward; alone: raw.", show_default=False)
 ]
 Duration = Annotated[
     float | None, typer.Option("--for", metavar="S", help="Stop after S seconds; default: at Ctrl-C.", parser=finite)
@@ -113,8 +112,7 @@ Valid = Annotated[
     ),
 ]
 TakeOver = Annotated[
-    bool,
-    typer.Option("--take-over", help="Although they follow the setpoints of another client, which loses them."),
+    bool, typer.Option("--take-over", help="Although they follow the setpoints of another client, which loses them.")
 ]
 
 
@@ -213,10 +211,7 @@ def _given(
 
 
 def _given_raw(
-    attitude: Vector | None,
-    quaternion: tuple[str, str, str, str] | None,
-    rates: Vector | None,
-    thrust: float | None,
+    attitude: Vector | None, quaternion: tuple[str, str, str, str] | None, rates: Vector | None, thrust: float | None
 ) -> dict[str, Any]:
     """The options of a raw setpoint as parameters of control.setpoint. Raises BadParameter."""
     given: dict[str, Any] = {}
@@ -505,7 +500,7 @@ class SetpointTally:
     sent: int = 0
     """Setpoints sent to the daemon, whatever it answered."""
     no_taker: int = 0
-    """Those of ``sent`` that every vehicle refused."""
+    """Setpoints of ``sent`` that every vehicle refused."""
     skipped: int = 0
     """Not sent because a newer one had arrived, or because the daemon took longer than one period to answer."""
     wrong_lines: int = 0

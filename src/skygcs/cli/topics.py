@@ -15,15 +15,9 @@ TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "fly": (
         "orders to one, some or all vehicles",
-        (
-            *("preflight", "arm", "takeoff", "goto", "hold", "rtl", "land", "stop", "disarm", "mode", "home"),
-            "mission",
-        ),
+        (*("preflight", "arm", "takeoff", "goto", "hold", "rtl", "land", "stop", "disarm", "mode", "home"), "mission"),
     ),
-    "several": (
-        "plans and control in one frame of coordinates",
-        ("origin", "control", "setpoint", "gains"),
-    ),
+    "several": ("plans and control in one frame of coordinates", ("origin", "control", "setpoint", "gains")),
     "vehicle": (
         "parameters, fences, sensors and logs of autopilots",
         (
@@ -31,14 +25,8 @@ TOPICS: dict[str, tuple[str, tuple[str, ...]]] = {
             *("interval", "stream", "command", "gate", "log"),
         ),
     ),
-    "connect": (
-        "links, radios, signing, corrections, motion capture",
-        ("links", "link", "signing", "corrections"),
-    ),
-    "stations": (
-        "computers on vehicles, and other sites",
-        (),
-    ),
+    "connect": ("links, radios, signing, corrections, motion capture", ("links", "link", "signing", "corrections")),
+    "stations": ("computers on vehicles, and other sites", ()),
     "files": ("recorded flights and the documentation, without a daemon", ("docs",)),
     "program": ("any method of the socket", ("call", "discover")),
 }

@@ -67,15 +67,15 @@ class Faults:
     """Faults of a radio."""
 
     silent: bool = False
-    """It answers nothing, as without power."""
+    """No answer to anything, as without power."""
     refuses: frozenset[str] = frozenset()
     """Settings it takes no value for."""
     forgets: frozenset[str] = frozenset()
     """Settings that are as before after a restart, although saved."""
     restarts_at: str | None = None
-    """It loses its power for a moment when this command comes ("ATS3=", the beginning is enough); once."""
+    """Command at which power is lost for a moment, once ("ATS3=", the beginning is enough)."""
     dies_at: str | None = None
-    """It is silent from this command on."""
+    """Command from which on it does not answer."""
     loses_lines: int = 0
     """Number of lines that the next ATI5 loses, from its tenth line on."""
     loses_remote: int = 0

@@ -34,21 +34,21 @@ LEAST_BOOST_COSINE = 0.1
 
 
 class Refusal(Enum):
-    """A message that is no target."""
+    """Reaction to a message that does not define a target."""
 
     STOP = "stop"
     """ArduCopter: ill-defined, the vehicle stops and holds."""
     NOTHING = "nothing"
-    """It is passed over, and does not count as a setpoint either."""
+    """The message is ignored, and does not count as a setpoint."""
 
 
 def px4_attitude(fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
-    """Return what PX4 makes of it.
+    """Return PX4's setpoint for a SET_ATTITUDE_TARGET.
 
-    With an attitude, of the rates that of the yaw alone counts, as feed-forward; without, roll and pitch rates are
-    needed, and a yaw rate that is ignored leaves the turn that there is. A thrust that is ignored is none: the motors
-    idle. The firmware does not look at the numbers: without a rotation nothing controls the attitude, a rate that is no
-    number leaves the turn that there is, and a thrust that is none is no thrust. It counts as a setpoint all the same.
+    With an attitude only the yaw rate counts of the rates, as feed-forward. Without one, roll and pitch rates are
+    required; a yaw rate that is masked out or NaN leaves the present rate of turn. A thrust that is masked out or NaN
+    is zero: the motors idle. The firmware does not validate the numbers: with a quaternion of length 0 nothing controls
+    the attitude. The message counts as a setpoint in each of these cases.
     """
     mask = int(fields["type_mask"])
     thrust = float(fields["thrust"])

@@ -186,7 +186,7 @@ class Firmware:
     home_here_is_fixed: Fact[bool]
     """DO_SET_HOME to where it is keeps that home over the next arming, as one elsewhere does on both."""
     home_follows: Fact[HomeFollows | None]
-    """How it moves home to where it is while it is disarmed; None: it keeps home until it is armed."""
+    """Rule by which home follows a disarmed vehicle; None: home stays until the next arming."""
 
     # flight
     spool_up_s: Fact[float]
@@ -226,7 +226,7 @@ class Firmware:
     global_int_acceleration: Fact[bool]
     """SET_POSITION_TARGET_GLOBAL_INT with position and velocity: whether its acceleration counts."""
     yaw_unset: Fact[str]
-    """Where the nose points when a target has neither yaw nor yaw rate."""
+    """Heading for a target with neither yaw nor yaw rate."""
 
     circle_rms_m: Fact[dict[str, float]]
     """RMS of the distance from a circle of 5 m at 2 m/s that is sent five times a second, by what is sent of it."""
@@ -296,8 +296,7 @@ COPTER: Final = Firmware(
         "handle_command_do_set_mission_current; ArduCopter/GCS_Mavlink.cpp (each measured)",
     ),
     home_here_is_fixed=Fact(
-        True,
-        "ArduCopter/commands.cpp: set_home_to_current_location (locks it); AP_Arming.cpp: AP_Arming_Copter::arm",
+        True, "ArduCopter/commands.cpp: set_home_to_current_location (locks it); AP_Arming.cpp: AP_Arming_Copter::arm"
     ),
     home_follows=Fact(None, "ArduCopter/commands.cpp: update_home_from_EKF (only while home is not set)"),
     spool_up_s=Fact(
@@ -306,10 +305,7 @@ COPTER: Final = Firmware(
         "in_arming_delay)",
     ),
     climb_accel=Fact(("WPNAV_ACCEL_Z", 0.01), "libraries/AC_WPNav/AC_WPNav.cpp: WPNAV_ACCEL_Z (100 cm/s²)"),
-    jerk=Fact(
-        "",
-        "ArduCopter/mode_guided.cpp: pos_control_run (input shaping with PSC_JERK_XY, no S-curve in GUIDED)",
-    ),
+    jerk=Fact("", "ArduCopter/mode_guided.cpp: pos_control_run (input shaping with PSC_JERK_XY, no S-curve in GUIDED)"),
     brake=Fact(
         (7.5, 5.0, 0.3),
         "ArduCopter/config.h: BRAKE_MODE_DECEL_RATE; libraries/AC_AttitudeControl/AC_PosControl.cpp: "
@@ -329,8 +325,7 @@ COPTER: Final = Firmware(
     ),
     setpoint_timeout=Fact("GUID_TIMEOUT", "ArduCopter/mode_guided.cpp: ModeGuided::get_timeout_ms (at least 0.1 s)"),
     attitude_timeout_s=Fact(
-        None,
-        "ArduCopter/mode_guided.cpp: ModeGuided::angle_control_run (up to 4.0: GUIDED_ATTITUDE_TIMEOUT_MS, 1 s)",
+        None, "ArduCopter/mode_guided.cpp: ModeGuided::angle_control_run (up to 4.0: GUIDED_ATTITUDE_TIMEOUT_MS, 1 s)"
     ),
     control_gains=Fact(
         GainNames(
@@ -411,21 +406,13 @@ COPTER: Final = Firmware(
         "ArduCopter/fence.cpp: Copter::fence_check (more than 100 m beyond: LAND)",
     ),
     battery_low=Fact(
-        Reactions(
-            "BATT_FS_LOW_ACT",
-            _COPTER_BATTERY,
-            Reaction.RETURN,
-        ),
+        Reactions("BATT_FS_LOW_ACT", _COPTER_BATTERY, Reaction.RETURN),
         "ArduCopter/Copter.h: FailsafeAction; events.cpp: handle_battery_failsafe (BATT_LOW_MAH at once, "
         "BATT_LOW_VOLT after "
         "BATT_LOW_TIMER)",
     ),
     battery_critical=Fact(
-        Reactions(
-            "BATT_FS_CRT_ACT",
-            _COPTER_BATTERY,
-            Reaction.RETURN,
-        ),
+        Reactions("BATT_FS_CRT_ACT", _COPTER_BATTERY, Reaction.RETURN),
         "ArduCopter/events.cpp: handle_battery_failsafe (BATT_CRT_MAH)",
     ),
     battery_emergency=Fact(_NEVER, "libraries/AP_BattMonitor/AP_BattMonitor.h: Failsafe (there is no third level)"),
@@ -445,32 +432,9 @@ COPTER: Final = Firmware(
             | FENCE_COMMANDS
             | {mav_cmd.NAV_RALLY_POINT},
             without_place=frozenset(
-                {
-                    20,
-                    83,
-                    93,
-                    112,
-                    114,
-                    115,
-                    177,
-                    178,
-                    181,
-                    182,
-                    183,
-                    184,
-                    193,
-                    194,
-                    197,
-                    202,
-                    203,
-                    205,
-                    206,
-                    207,
-                    208,
-                    210,
-                }
-                | {211, 212, 213, 215, 216, 217, 218, 222, 223, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501}
-                | {3000, 42600, 42702, 42703}
+                {20, 83, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 193, 194, 197, 202, 203, 205, 206}
+                | {207, 208, 210, 211, 212, 213, 215, 216, 217, 218, 222, 223, 531, 532, 534, 600, 601, 1000}
+                | {2000, 2001, 2500, 2501, 3000, 42600, 42702, 42703}
             ),
         ),
         "libraries/GCS_MAVLink/MissionItemProtocol.h: upload_timeout_ms; libraries/AP_Mission/AP_Mission.cpp: "
@@ -518,15 +482,11 @@ PX4: Final = Firmware(
         HomeFollows(0.0, 1.0, 1.5),
         "commander/HomePosition.cpp: update, hasMovedFromCurrentHomeLocation; Commander.cpp: run (disarmed and landed)",
     ),
-    spool_up_s=Fact(
-        2.5,
-        "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",
-    ),
+    spool_up_s=Fact(2.5, "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)"),
     climb_accel=Fact(("MPC_ACC_UP_MAX", 1.0), "mc_pos_control/multicopter_position_control_limits_params.c"),
     jerk=Fact("MPC_JERK_AUTO", "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance"),
     brake=Fact(
-        (3.0, 4.0, 0.3),
-        "navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)",
+        (3.0, 4.0, 0.3), "navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)"
     ),
     land_fast_above_m=Fact(
         10.0, "flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT1)"
@@ -634,8 +594,7 @@ PX4: Final = Firmware(
         "commander/failsafe/failsafe.cpp: fromGfActParam",
     ),
     battery_low=Fact(
-        Reactions("COM_LOW_BAT_ACT", {}, Reaction.WARN),
-        "commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+        Reactions("COM_LOW_BAT_ACT", {}, Reaction.WARN), "commander/failsafe/failsafe.cpp: fromBatteryWarningActParam"
     ),
     battery_critical=Fact(
         Reactions("COM_LOW_BAT_ACT", {1: Reaction.RETURN, 2: Reaction.LAND, 3: Reaction.RETURN}, Reaction.WARN),
@@ -657,31 +616,8 @@ PX4: Final = Firmware(
             | FENCE_COMMANDS
             | {mav_cmd.NAV_RALLY_POINT},
             without_place=frozenset(
-                {
-                    20,
-                    93,
-                    112,
-                    114,
-                    177,
-                    178,
-                    179,
-                    187,
-                    189,
-                    196,
-                    197,
-                    200,
-                    201,
-                    203,
-                    204,
-                    205,
-                    206,
-                    211,
-                    214,
-                    260,
-                    530,
-                    532,
-                }
-                | {534, 80, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
+                {20, 93, 112, 114, 177, 178, 179, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 214}
+                | {260, 530, 532, 534, 80, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
             ),
         ),
         "mavlink/mavlink_mission.h: MAVLINK_MISSION_*_TIMEOUT_DEFAULT; mavlink_mission.cpp: parse_mavlink_mission_item",

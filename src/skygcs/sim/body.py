@@ -43,7 +43,7 @@ def turned_by(rates_frd_radps: Vector, seconds: float) -> Quaternion:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeSetpoint:
-    """How to lie and how hard to push: what SET_ATTITUDE_TARGET asks for.
+    """Attitude or body rates, and thrust, as SET_ATTITUDE_TARGET requests them.
 
     ``attitude_ned_frd`` turns FRD body vectors into NED ones (w, x, y, z), of unit length; None keeps level and the
     yaw there is, or turns with the rates. ``thrust`` is collective and normalised (0..1); None: the autopilot's height
@@ -61,7 +61,7 @@ class AttitudeSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class AccelerationSetpoint:
-    """How to accelerate: what a position controller asks for. Compass yaw; None keeps it, turning with the rate."""
+    """Acceleration that a position controller requests. Compass yaw; None keeps it, or turns with the yaw rate."""
 
     acc_enu_mps2: Vector
     yaw_rad: float | None = None
@@ -103,7 +103,7 @@ class Body:
         self.roll_rate_radps = 0.0
         self.pitch_rate_radps = 0.0
         self.crashed = False
-        """It has met the ground too fast: it lies on its side, and its motors lift it no more."""
+        """True after a hard impact: the vehicle lies on its side, and its motors do not lift it."""
 
     @property
     def lean_deg(self) -> float:

@@ -175,8 +175,8 @@ def _px4_sides(v: VehicleState, sensor: str) -> Script:
 
 
 def _copter_answer(v: VehicleState, c: Command, seconds: float) -> Script:
-    """Its main loop measures, and answers at the end. Meanwhile it sends what it does while it starts
-    (AP_Vehicle::scheduler_delay_callback)."""
+    """ArduCopter measures in its main loop and answers at the end. Meanwhile it sends only what it sends during its
+    start (AP_Vehicle::scheduler_delay_callback)."""
     v.tx.say(m.MAV_SEVERITY_INFO, "Initialising ArduPilot")
     yield seconds
     v.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)

@@ -14,7 +14,7 @@ from skygcs.sim.wind import Wind
 
 
 class Dynamics(StrEnum):
-    """How a vehicle moves."""
+    """Body and control of a vehicle."""
 
     RIGID = "rigid"
     """`quad`: forces, lags, wind; takes attitude setpoints."""
@@ -32,7 +32,7 @@ class Conditions:
     dynamics: Dynamics = Dynamics.RIGID
     airframe: Airframe = F450
     wind_enu_mps: Vector = (0.0, 0.0, 0.0)
-    """Where the air moves to."""
+    """Direction towards which the air moves."""
     gust_mps: float = 0.0
     """Standard deviation of the gusts, per horizontal axis."""
     gps_noise_m: float = 0.0
@@ -75,7 +75,7 @@ def conditions_of(  # noqa: PLR0913 - each is a key of the fleet file
 ) -> Conditions:
     """Conditions as a fleet file words them (docs/reference/fleet-file.md); ``attitude_lag_s`` None: the airframe's.
 
-    Raises ValueError for a number out of range, or a name that is none.
+    Raises ValueError for a number out of range, or an unknown name.
     """
     if airframe not in AIRFRAMES:
         raise ValueError(f"airframe {airframe!r}: there are {', '.join(AIRFRAMES)}")

@@ -25,13 +25,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mission.item import (
-    FENCE_COMMANDS,
-    GLOBAL,
-    TERRAIN_ALT,
-    MissionItem,
-    MissionType,
-)
+from skygcs.core.mission.item import FENCE_COMMANDS, GLOBAL, TERRAIN_ALT, MissionItem, MissionType
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER
 from skygcs.sim.mission_lists import (

@@ -31,12 +31,12 @@ ANY_HEIGHT_M = 1e9
 
 
 def descent_mps(mode: int) -> float | None:
-    """The fastest descent in a mode in which the stick is a climb rate; None: it is none."""
+    """Fastest descent in a mode in which the stick commands a climb rate; None: other modes."""
     return PILOT_SPEED_MPS if mode in LEVEL or mode in STAYS else None
 
 
 def begin(v: VehicleState, mode: CopterMode) -> bool:
-    """Begin what a flying vehicle does in this mode; False if it is none of the table's."""
+    """Begin what a flying vehicle does in this mode; False if the table does not have it."""
     sinks = v.faults.throttle_down and mode != CopterMode.GUIDED_NOGPS
     if mode in FALLS:
         v.plan.fly(Follow(AttitudeSetpoint(None, thrust=IDLE_THRUST)))

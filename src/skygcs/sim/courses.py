@@ -21,7 +21,7 @@ from skygcs.sim.legs import ClimbOut, Course, Glide, GoTo, Land, Leg, Plan, Stay
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """How near a place counts as reached, and how wide circles are (positive clockwise; 0: it stops instead)."""
+    """Acceptance radius of a place, and radius of circles (positive clockwise; 0: the vehicle stops instead)."""
 
     reached_m: float
     circle_m: float = 0.0

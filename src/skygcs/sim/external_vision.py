@@ -1,4 +1,4 @@
-"""How a simulated autopilot takes poses of motion capture: whether its estimator has a position by them. Pure.
+"""Fusion of motion-capture poses by a simulated autopilot: does its estimator have a position from them? Pure.
 
     what                          PX4                                        ArduCopter
     ---------------------------   ----------------------------------------   -----------------------------------------

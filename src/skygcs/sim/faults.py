@@ -1,4 +1,4 @@
-"""Faults that can be made in a simulated vehicle, by a test or by somebody who looks at it."""
+"""Faults that a test or a drill can set in a simulated vehicle."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Faults:
     unhealthy_sensors: int = 0
     """Bits of MAV_SYS_STATUS_SENSOR that SYS_STATUS reports as present, enabled and not healthy."""
     clock_error_s: float = 0.0
-    """Its clock (SYSTEM_TIME) minus the true one."""
+    """The vehicle's clock (SYSTEM_TIME) minus the true time."""
     nan_attitude: bool = False
     """ATTITUDE and ATTITUDE_QUATERNION report NaN."""
     mute: bool = False

@@ -58,7 +58,7 @@ def _metres_per_degree(lat_deg: float, alt_amsl_m: float) -> tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where it was armed, or where a ground station has set its home."""
+    """Position of the last arming, or one that a ground station has set."""
 
     east_m: float
     north_m: float
@@ -108,8 +108,8 @@ def bounded_limits(
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Where to be (``pos_enu_m``) and how fast that place moves (``vel_enu_mps``). On an axis whose position is None:
-    how fast to move; None there as well: stop.
+    """Position (``pos_enu_m``) and its velocity (``vel_enu_mps``). On an axis without a position (None) the velocity
+    alone is followed; without a velocity as well the vehicle stops.
 
     East and north go together: both have a position or neither has. ``yaw_rad`` is ENU-independent compass yaw
     (0 north, clockwise); None keeps it, or turns with ``yaw_rate_radps``.
@@ -123,7 +123,7 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True)
 class CourseSetpoint(Setpoint):
-    """Where to go, for what goes only where its nose points. Without a place over the ground: straight on by
+    """Course of a vehicle that moves only along its nose. Without an east and north position: straight on, by
     ``yaw_rad``."""
 
     circle_m: float = 0.0
@@ -150,7 +150,7 @@ def approach_speed(distance_m: float, accel_mps2: float, top_mps: float, jerk_mp
 
 
 def stopping_distance(speed_mps: float, accel_mps2: float, jerk_mps3: float, lag_s: float) -> float:
-    """How far it goes while it stops: the acceleration grows with the jerk to its most, and the body lags behind."""
+    """Stopping distance: the deceleration grows with the jerk up to its limit, and the body lags behind."""
     if speed_mps * jerk_mps3 < accel_mps2**2:  # the most is not reached
         slowing = speed_mps * sqrt(speed_mps / jerk_mps3)
     else:

@@ -78,7 +78,7 @@ class MissionLists(ABC):
         """The autopilot boots."""
 
     def opaque_id(self, kind: MissionType) -> int:
-        """Its own number for a list; 0: it has none."""
+        """The firmware's own number of a list; 0: it keeps none."""
         return 0
 
     def keep(self, kind: MissionType, items: Items) -> None:

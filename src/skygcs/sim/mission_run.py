@@ -150,7 +150,7 @@ class MissionRun(ABC):
 
     @property
     def landing(self) -> bool:
-        """It flies an item that ends on the ground."""
+        """True while an item is flown that ends on the ground."""
         return self._flies and self._lands
 
     def _go(self, v: MissionVehicle, seq: int, now: float) -> None:

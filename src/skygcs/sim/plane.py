@@ -77,10 +77,7 @@ PLANE = replace(
         "ArduPlane/ArduPlane.cpp: one_second_loop; commands.cpp: update_home (HOME_RESET_ALT 0)",
     ),
     spool_up_s=Fact(0.0, "ArduPlane/servos.cpp: suppress_throttle (a take-off starts by TKOFF_THR_MINACC 0 at once)"),
-    landed_after_s=Fact(
-        5.0,
-        "ArduPlane/is_flying.cpp: update_is_flying_5Hz (isFlyingProbability below 0.1)",
-    ),
+    landed_after_s=Fact(5.0, "ArduPlane/is_flying.cpp: update_is_flying_5Hz (isFlyingProbability below 0.1)"),
     crash=Fact((0.0, 0.0, 0.0, 0.0), "ArduPlane/is_flying.cpp: CRASH_DETECT 0"),
     gcs=Fact(
         Reactions("FS_GCS_ENABL", {0: Reaction.NONE}, Reaction.RETURN),

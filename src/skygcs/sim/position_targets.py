@@ -143,7 +143,7 @@ def copter_target(v: Located, name: str, fields: dict[str, Any]) -> PositionTarg
 
 
 def _axes(values: Vector, mask: int, group: int) -> Axes:
-    """East, north, up of a group whose bits are in NED order; an ignored axis, or one without a number, is none."""
+    """East, north, up of a group whose bits are in NED order; an ignored axis, or NaN, is None."""
     lowest = group & -group
     ignored = (mask & lowest << 1, mask & lowest, mask & lowest << 2)
     e, n, u = (None if skip or not isfinite(value) else value for value, skip in zip(values, ignored, strict=True))

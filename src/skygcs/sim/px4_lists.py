@@ -26,14 +26,7 @@ from enum import Enum, auto
 from zlib import crc32
 
 from skygcs.core.mavlink import mav_cmd
-from skygcs.core.mission.item import (
-    FENCE_COMMANDS,
-    GLOBAL,
-    MISSION_FRAME,
-    RELATIVE_ALT,
-    MissionItem,
-    MissionType,
-)
+from skygcs.core.mission.item import FENCE_COMMANDS, GLOBAL, MISSION_FRAME, RELATIVE_ALT, MissionItem, MissionType
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import PX4
 from skygcs.sim.mission_lists import (

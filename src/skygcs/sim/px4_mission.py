@@ -33,7 +33,7 @@ class Px4Orders(Protocol):
 
 
 class Px4Run(MissionRun):
-    """It does not report MISSION_CURRENT.mission_state; behind the message are the ids of its lists (`ids`).
+    """PX4 does not report MISSION_CURRENT.mission_state; the message ends with the ids of its lists (`ids`).
 
     MissionBase::on_active reports every item: MAVSDK waits for that of its last one, a change of speed.
     """

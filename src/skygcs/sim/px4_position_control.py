@@ -38,7 +38,7 @@ STOP = PositionTarget(vel_enu_mps=(0.0, 0.0, 0.0))
 """generateFailsafeSetpoint: "stop and wait"."""
 
 IDLE = AccelerationSetpoint((0.0, 0.0, -GRAVITY_MPS2))
-"""On the ground without a wish to take off."""
+"""On the ground, without a take-off requested."""
 
 
 class Px4PositionControl(PositionControl):

@@ -14,15 +14,7 @@ from dataclasses import dataclass
 from math import asin, atan2, copysign, cos, exp, hypot, inf, radians, sin, sqrt
 
 from skygcs.core.geo import quaternion_from_euler, quaternion_product
-from skygcs.sim.body import (
-    GRAVITY_MPS2,
-    AccelerationSetpoint,
-    AttitudeSetpoint,
-    Body,
-    Quaternion,
-    Vector,
-    turned_by,
-)
+from skygcs.sim.body import GRAVITY_MPS2, AccelerationSetpoint, AttitudeSetpoint, Body, Quaternion, Vector, turned_by
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.steering import Steering
 from skygcs.sim.wind import Wind

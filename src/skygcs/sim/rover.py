@@ -122,7 +122,7 @@ class RoverVehicle(CourseVehicle):
     reaction_modes = _REACTION_MODES
     not_supported = frozenset({m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND, m.MAV_CMD_CONDITION_YAW})
     guided_place: GoTo | None = None
-    """Where it was sent in GUIDED, which it has not left since: disarmed on its way and armed again it drives on."""
+    """Goal in GUIDED, kept until the mode is left: a rover that is disarmed on its way and armed again drives on."""
 
     @staticmethod
     def factory_params(sysid: int) -> Params:

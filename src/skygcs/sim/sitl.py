@@ -80,7 +80,7 @@ ESTIMATOR_STATUS at rest as well (ekf2/EKF/ekf_helper.cpp, get_ekf_soln_status),
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where a vehicle stands, and its compass heading (PX4's SIH begins heading north whatever is asked)."""
+    """Initial position and compass heading of a vehicle (PX4's SIH begins with heading north in any case)."""
 
     lat_deg: float
     lon_deg: float
@@ -139,15 +139,7 @@ def homes(first: Home, count: int, spacing_m: float) -> list[Home]:
     return [Home(lat, lon, first.alt_amsl_m, first.heading_deg) for lat, lon, _ in places]
 
 
-def px4_launch(
-    instance: Instance,
-    *,
-    binary: str,
-    etc: str,
-    folder: str,
-    ports: Ports,
-    speedup: float = 1.0,
-) -> Launch:
+def px4_launch(instance: Instance, *, binary: str, etc: str, folder: str, ports: Ports, speedup: float = 1.0) -> Launch:
     """PX4's SIH simulator."""
     scripts = "startup"
     links = [
@@ -188,14 +180,7 @@ def px4_launch(
 
 
 def ardupilot_launch(
-    instance: Instance,
-    *,
-    binary: str,
-    defaults: str,
-    folder: str,
-    ports: Ports,
-    rc_port: int,
-    speedup: float = 1.0,
+    instance: Instance, *, binary: str, defaults: str, folder: str, ports: Ports, rc_port: int, speedup: float = 1.0
 ) -> Launch:
     """ArduPilot's SITL of a program. ``defaults`` is the firmware's own file (copter.parm); ``rc_port`` is where it
     listens for a transmitter, which is nobody's."""
@@ -310,5 +295,5 @@ def last_lines(text: str, count: int = 10) -> list[str]:
 
 
 def refused_params(log: str, names: Iterable[str]) -> list[str]:
-    """Those of the names that PX4's log calls unknown. ArduPilot ignores an unknown name without a word."""
+    """Names that PX4's log calls unknown. ArduPilot ignores an unknown name silently."""
     return [name for name in names if f"Parameter {name} not found" in log]

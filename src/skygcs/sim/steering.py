@@ -13,14 +13,7 @@ from __future__ import annotations
 from math import atan2, cos, hypot, inf, radians, sin, tan
 
 from skygcs.core.geo import quaternion_from_euler, quaternion_product
-from skygcs.sim.body import (
-    GRAVITY_MPS2,
-    AccelerationSetpoint,
-    AttitudeSetpoint,
-    Body,
-    Quaternion,
-    turned_by,
-)
+from skygcs.sim.body import GRAVITY_MPS2, AccelerationSetpoint, AttitudeSetpoint, Body, Quaternion, turned_by
 from skygcs.sim.kinematics import Limits, Motion, Setpoint
 from skygcs.sim.position_control import bounded_length
 
@@ -83,11 +76,7 @@ class Steering:
         self._integral = [0.0, 0.0, 0.0]
 
     def step(
-        self,
-        body: Body,
-        dt_s: float,
-        setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint,
-        limits: Limits,
+        self, body: Body, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint, limits: Limits
     ) -> tuple[Quaternion, float]:
         """Attitude (NED/FRD) and thrust for the next ``dt_s``."""
         if isinstance(setpoint, AccelerationSetpoint):
@@ -112,7 +101,7 @@ class Steering:
         return self._lean(accel_e, accel_n, lift, path.yaw_rad)
 
     def _attitude(self, setpoint: AttitudeSetpoint, dt_s: float) -> Quaternion | None:
-        """Where the attitude has turned to with its rates, ahead of it by as much as the body lags (feed-forward)."""
+        """Attitude extrapolated with its rates by the lag of the body (feed-forward)."""
         rates, attitude = setpoint.rates_frd_radps, setpoint.attitude_ned_frd
         if rates is None or attitude is None:
             return attitude

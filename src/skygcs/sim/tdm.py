@@ -61,7 +61,7 @@ class TdmConfig:
     burst_loss: float = 0.0
     """Share of time in which a fade swallows every packet of a node."""
     burst_s: float = 1.0
-    """How long a fade lasts on average."""
+    """Mean duration of a fade."""
     rtscts: bool = False
     """True if a program that writes to a radio waits while its buffer is full, instead of losing bytes in it."""
     node_ids: tuple[int, ...] | None = None

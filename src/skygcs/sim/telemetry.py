@@ -1,6 +1,7 @@
 """Telemetry of a simulated vehicle, message by message: state in, wire fields out.
 
-A builder returns None while there is nothing to report (no home yet, no position estimate yet).
+A builder returns None while there is nothing to report (no home yet, no position estimate yet). The fields of
+`BOOT_CLOCKS` are added where the message is sent.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from skygcs.sim.vehicle_state import VehicleState
 
 Fields = dict[str, Any]
 Builder = Callable[[VehicleState, float], Fields | None]
+
+BOOT_CLOCKS: Mapping[str, int] = {"time_boot_ms": 1, "time_usec": 1000}
+"""Fields with the time since boot, and their units in a millisecond."""
 
 UNKNOWN_U16 = 65535
 UNKNOWN_TEMPERATURE = 32767
@@ -92,13 +96,13 @@ def sys_status(v: VehicleState, now: float) -> Fields:
 def system_time(v: VehicleState, now: float) -> Fields:
     # an autopilot knows the date from GPS only
     unix_us = max(0, v.unix_us + round(v.faults.clock_error_s * 1e6)) if v.gps_ok else 0
-    return {"time_unix_usec": unix_us, "time_boot_ms": v.boot_ms}
+    return {"time_unix_usec": unix_us}
 
 
 def gps_raw_int(v: VehicleState, now: float) -> Fields:
     if not v.gps_ok:
         unknown = {"eph": UNKNOWN_U16, "epv": UNKNOWN_U16, "vel": UNKNOWN_U16, "cog": UNKNOWN_U16}
-        return {"time_usec": v.boot_ms * 1000, "fix_type": m.GPS_FIX_TYPE_NO_FIX, **unknown}
+        return {"fix_type": m.GPS_FIX_TYPE_NO_FIX, **unknown}
     motion = v.reported
     fix_type = v.rtk.fix_type(now)
     fixed = fix_type == m.GPS_FIX_TYPE_RTK_FIXED
@@ -106,7 +110,6 @@ def gps_raw_int(v: VehicleState, now: float) -> Fields:
     lat, lon = v.where.to_geodetic(motion.east_m + v.rng.spread(error_m), motion.north_m + v.rng.spread(error_m))
     alt_mm = round((v.where.alt_amsl_m + motion.up_m + v.rng.spread(1.25 * error_m)) * 1000)
     return {
-        "time_usec": v.boot_ms * 1000,
         "fix_type": fix_type,
         "lat": round(lat * 1e7),
         "lon": round(lon * 1e7),
@@ -128,10 +131,9 @@ def global_position_int(v: VehicleState, now: float) -> Fields | None:
     if v.home is None:  # never had a position: PX4 sends nothing, ArduPilot zeros
         if v.autopilot == m.MAV_AUTOPILOT_PX4:
             return None
-        return {"time_boot_ms": v.boot_ms, "hdg": round(motion.heading_deg * 100) % 36000}
+        return {"hdg": round(motion.heading_deg * 100) % 36000}
     lat, lon = v.where.to_geodetic(motion.east_m, motion.north_m)
     return {
-        "time_boot_ms": v.boot_ms,
         "lat": round(lat * 1e7),
         "lon": round(lon * 1e7),
         "alt": round((v.where.alt_amsl_m + motion.up_m) * 1000),
@@ -148,7 +150,6 @@ def local_position_ned(v: VehicleState, now: float) -> Fields | None:
         return None
     motion, zero = v.reported, v.local_origin
     return {
-        "time_boot_ms": v.boot_ms,
         "x": motion.north_m - zero.north_m,
         "y": motion.east_m - zero.east_m,
         "z": zero.up_m - motion.up_m,
@@ -161,9 +162,8 @@ def local_position_ned(v: VehicleState, now: float) -> Fields | None:
 def attitude(v: VehicleState, now: float) -> Fields:
     motion = v.reported
     if v.faults.nan_attitude:
-        return {"time_boot_ms": v.boot_ms, "roll": nan, "pitch": nan, "yaw": nan}
+        return {"roll": nan, "pitch": nan, "yaw": nan}
     return {
-        "time_boot_ms": v.boot_ms,
         "roll": motion.roll_rad,
         "pitch": motion.pitch_rad,
         "yaw": motion.yaw_rad,
@@ -182,9 +182,9 @@ def _rates(motion: Body) -> Fields:
 def attitude_quaternion(v: VehicleState, now: float) -> Fields:
     motion = v.reported
     if v.faults.nan_attitude:
-        return {"time_boot_ms": v.boot_ms, "q1": nan, "q2": nan, "q3": nan, "q4": nan}
+        return {"q1": nan, "q2": nan, "q3": nan, "q4": nan}
     w, x, y, z = quaternion_from_euler(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
-    return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
+    return {"q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
 
 
 def _throttle_percent(v: VehicleState) -> int:
@@ -234,7 +234,6 @@ def home_position(v: VehicleState, now: float) -> Fields | None:
         "y": home.east_m,
         "z": -home.up_m,
         "q": [1.0, 0.0, 0.0, 0.0] if v.autopilot == m.MAV_AUTOPILOT_PX4 else [nan] * 4,
-        "time_usec": v.boot_ms * 1000,
     }
 
 
@@ -245,7 +244,6 @@ def position_target_global_int(v: VehicleState, now: float) -> Fields | None:
     east_m, north_m, up_m = target
     lat, lon = v.where.to_geodetic(east_m, north_m)
     return {
-        "time_boot_ms": v.boot_ms,
         "coordinate_frame": m.MAV_FRAME_GLOBAL,
         "type_mask": ONLY_THE_PLACE,
         "lat_int": round(lat * 1e7),
@@ -263,7 +261,6 @@ def gps_global_origin(v: VehicleState, now: float) -> Fields | None:
         "latitude": round(lat * 1e7),
         "longitude": round(lon * 1e7),
         "altitude": round((v.where.alt_amsl_m + zero.up_m) * 1000),
-        "time_usec": v.boot_ms * 1000,
     }
 
 
@@ -286,7 +283,7 @@ def fence_status(v: VehicleState, now: float) -> Fields:
 
 
 def rc_channels(v: VehicleState, now: float) -> Fields:
-    return {"time_boot_ms": v.boot_ms, "chancount": 0, "rssi": 255}  # no receiver: 255 = unknown
+    return {"chancount": 0, "rssi": 255}  # no receiver: 255 = unknown
 
 
 def _body_accel(v: VehicleState) -> Vector:
@@ -306,7 +303,6 @@ def raw_imu(v: VehicleState, now: float) -> Fields:
     accel = _body_accel(v)
     milli_g = [round(a / GRAVITY_MPS2 * 1000) for a in accel]
     return {
-        "time_usec": v.boot_ms * 1000,
         **dict(zip(("xacc", "yacc", "zacc"), milli_g, strict=True)),
         "zgyro": round(v.reported.yaw_rate_radps * 1000),
         "xmag": round(200 * cos(v.reported.yaw_rad)),
@@ -322,7 +318,6 @@ def highres_imu(v: VehicleState, now: float) -> Fields:
         1013.25 * (1 - 2.25577e-5 * (v.where.alt_amsl_m + v.reported.up_m)) ** 5.25588
     )  # ICAO standard atmosphere
     return {
-        "time_usec": v.boot_ms * 1000,
         **dict(zip(("xacc", "yacc", "zacc"), accel, strict=True)),
         "zgyro": v.reported.yaw_rate_radps,
         "xmag": 0.2 * cos(v.reported.yaw_rad),
@@ -346,7 +341,6 @@ def odometry(v: VehicleState, now: float) -> Fields | None:
     vx, vy, vz = _to_body(q, (local["vx"], local["vy"], local["vz"]))
     unknown = [nan] + [0.0] * 20
     return {
-        "time_usec": v.boot_ms * 1000,
         "frame_id": MAV_FRAME_LOCAL_NED,
         "child_frame_id": MAV_FRAME_BODY_FRD,
         **{axis: local[axis] for axis in "xyz"},
@@ -376,7 +370,6 @@ def altitude(v: VehicleState, now: float) -> Fields:
     up = v.reported.up_m
     amsl = v.where.alt_amsl_m + up
     return {
-        "time_usec": v.boot_ms * 1000,
         "altitude_monotonic": amsl,
         "altitude_amsl": amsl,
         "altitude_local": up,
@@ -396,7 +389,6 @@ def ekf_status_report(v: VehicleState, now: float) -> Fields:
 def estimator_status(v: VehicleState, now: float) -> Fields:
     ok = v.position_ok
     return {
-        "time_usec": v.boot_ms * 1000,
         "flags": _ESTIMATOR_GOOD if ok else _ESTIMATOR_WITHOUT_POSITION,
         "vel_ratio": 0.03,
         "pos_horiz_ratio": 0.02 if ok else 1.5,

@@ -56,15 +56,19 @@ class SimVehicle(VehicleState):
 
     def begin_telemetry(self) -> Iterable[str]:
         self.builders = dict(telemetry.builders_of(self.autopilot))
+        known = self.dialect.by_name
+        named = {name: {field.name for field in known[name].fields} for name in self.builders if name in known}
+        self._clocks = {name: telemetry.BOOT_CLOCKS.keys() & fields for name, fields in named.items()}
         return self.builders
 
     def send_message(self, name: str, now: float) -> bool:
         builder = self.builders.get(name)
-        if builder is None or name not in self.dialect.by_name:
+        if builder is None or name not in self._clocks:
             return False
         fields = builder(self, now)
         if fields is not None:
-            self.tx.send(name, fields, self.tail_of(name))
+            clocks = {clock: self.boot_ms * telemetry.BOOT_CLOCKS[clock] for clock in self._clocks[name]}
+            self.tx.send(name, clocks | fields, self.tail_of(name))
         return True
 
     def _tick(self, now: float) -> None:

@@ -56,7 +56,7 @@ class VehicleState(ABC):
     vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
     mav_type: int = m.MAV_TYPE_QUADROTOR
     looks: str = "quadrotor"
-    """Its kind, in words."""
+    """Kind of the vehicle, for people."""
     flies: bool = True
     """False: it drives, and has landed while it is disarmed only."""
     default_rates_hz: Mapping[str, float]
@@ -85,7 +85,7 @@ class VehicleState(ABC):
     setpoint_at: float
     """When the last setpoint came."""
     shell: Px4Shell | None = None
-    """Its console over MAVLink; None: it has none."""
+    """Console over MAVLink; None: not available."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class VehicleState(ABC):
     @property
     @abstractmethod
     def by_vision(self) -> bool:
-        """Its parameters have it fly by poses of motion capture, without GPS."""
+        """True if the parameters select motion capture instead of GPS."""
 
     @property
     @abstractmethod
@@ -196,7 +196,7 @@ class VehicleState(ABC):
 
     @abstractmethod
     def too_far_beyond(self, breach: str) -> bool:
-        """It is so far outside that it lands instead of returning."""
+        """True if the vehicle is so far outside that it lands instead of returning."""
 
     @abstractmethod
     def carry_out(self, reaction: Reaction, now: float) -> None:
@@ -321,7 +321,7 @@ class VehicleState(ABC):
 
     @property
     def estimated(self) -> Body:
-        """Where the autopilot takes itself to be; ``motion`` is where it is."""
+        """State as the autopilot estimates it; ``motion`` is the true one."""
         return self.sensors.estimated
 
     @property
@@ -379,7 +379,7 @@ class VehicleState(ABC):
         return self.local_zero or Home(0.0, 0.0, 0.0)
 
     def true_position(self) -> tuple[float, float, float]:
-        """Where it is, whatever it believes: (lat_deg, lon_deg, alt_amsl_m)."""
+        """True position, (lat_deg, lon_deg, alt_amsl_m), independent of the estimate."""
         lat_deg, lon_deg = self.where.to_geodetic(self.motion.east_m, self.motion.north_m)
         return lat_deg, lon_deg, self.where.alt_amsl_m + self.motion.up_m
 
@@ -466,7 +466,7 @@ class VehicleState(ABC):
         self.send_soon("HOME_POSITION")
 
     def set_local_origin(self, east_m: float, north_m: float, up_m: float) -> None:
-        """Its local frame is about this point of `where` from now on."""
+        """Set the origin of the local frame, a point of `where`."""
         self.local_zero = Home(east_m, north_m, up_m)
         self.send_soon("GPS_GLOBAL_ORIGIN")
 
@@ -514,7 +514,7 @@ class VehicleState(ABC):
         self.vision = ExternalVision(self.autopilot)
         self.calibration: Calibration | None = None
         self.side_down = "down"
-        """Its pose on the ground, as PX4 names it."""
+        """Orientation on the ground, by PX4's name."""
         self.turned_by_hand = True
         """Somebody turns it as its calibration asks."""
         # telemetry, and control by the firmware's settings

@@ -1,7 +1,8 @@
 """Bodies that go only where their noses point: a fixed wing and a rover. Kinematic, without wind.
 
     wing     an airspeed within limits, turns with a limited bank, a climb within limits. It cannot stop in the air: it
-             flies past a place, or round it. A stall is none: below its speed it only sinks or rolls.
+             flies past a place, or round it. Stall is not modelled: below the stall speed it
+             only sinks or rolls.
     rover    planar; its turns are limited by its smallest circle and by the acceleration to the side. It stops.
 
 ENU metres about the point where the vehicle was first powered; the ground is flat, up 0.
@@ -25,7 +26,7 @@ CLIMB_GAIN_PER_S = 0.5
 CLIMB_MPS2 = 2.0
 COURSE_GAIN_PER_S = 1.5
 FIELD_GAIN = 3.0
-"""How sharply it turns onto a circle: atan(gain · distance from it / radius), a vector field (Nelson et al., 2007)."""
+"""Gain of the turn onto a circle: atan(gain · distance from it / radius), a vector field (Nelson et al., 2007)."""
 
 GLIDE_SINK_MPS = 1.5
 """Without its motor: a foam plane glides 1:8 at 12 m/s."""
@@ -170,7 +171,7 @@ class Rover(Body):
 
     @staticmethod
     def _speed(setpoint: Setpoint, limits: Limits, left_m: float, error: float) -> float:
-        """How fast towards the place: slower in a sharp turn, down to a stop at its end."""
+        """Speed towards the place: reduced in a sharp turn, zero at the place."""
         reached_m = setpoint.reached_m if isinstance(setpoint, CourseSetpoint) else 0.0
         stops = not isinstance(setpoint, CourseSetpoint) or setpoint.stops
         if stops and left_m <= max(reached_m, STANDS_MPS):

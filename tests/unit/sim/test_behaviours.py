@@ -9,7 +9,7 @@ from skygcs.sim.behaviours import COPTER, PX4, Fact, Firmware
 from support.behaviour_checks import CHECKS, fly
 from support.behaviour_flights import get_ready
 from support.behaviour_rig import SimRig
-from support.behaviour_table import table
+from support.behaviour_table import items
 from support.examples import thinned
 from support.table import each
 
@@ -54,4 +54,4 @@ def test_every_value_names_its_source(firmware: Firmware) -> None:
 
 def test_the_page_of_the_table_is_up_to_date() -> None:
     page = Path(__file__).parents[3] / "docs" / "reference" / "simulated-firmware.md"
-    assert table() in page.read_text(encoding="utf-8"), "PYTHONPATH=tests python -m support.behaviour_table"
+    assert items() in page.read_text(encoding="utf-8"), "PYTHONPATH=tests python -m support.behaviour_table"

@@ -242,7 +242,8 @@ class FenceArea:
         return sum(len(corners) for _, _, corners in self._polygons) + len(self._circles)
 
     def room_m(self, place: Corner) -> tuple[float, str]:
-        """How far a position is from the nearest place that is not permitted, and whose; negative: it is itself not."""
+        """Distance from a position to the nearest place that is not permitted, and the fence of that place; negative if
+        the position itself is not permitted."""
         return self._room_m(self._plane.xy(place))
 
     def narrowest(self, path: Sequence[Corner], room_m: float) -> tuple[float, str] | None:

@@ -355,9 +355,9 @@ ARDUPILOT_ALTERS: Mapping[int, str] = {
     mav_cmd.VIDEO_START_CAPTURE: "i---",
     mav_cmd.VIDEO_STOP_CAPTURE: "i---",
 }
-"""How an ArduPilot reports param1 to param4, where it may differ from what was sent; see `_ALTERED`. Of any other
-command, but of fences and rally points, it may drop one or round it ("~"). An ArduPlane keeps other parameters of a
-waypoint than a copter, as bytes; each drops those of the other."""
+"""Report of param1 to param4 by an ArduPilot, where it may differ from what was sent; see `_ALTERED`. Any parameter of
+another command, except of fences and rally points, may be dropped or rounded ("~"). An ArduPlane keeps other parameters
+of a waypoint than a copter, as bytes; each drops those of the other."""
 
 PX4_ALTERS: Mapping[int, str] = {
     mav_cmd.NAV_WAYPOINT: "==-y",
@@ -511,7 +511,7 @@ def _same_place(sent: MissionItem, kept: MissionItem) -> bool:
 
 
 def _same_place_of_ardupilot(sent: MissionItem, kept: MissionItem) -> bool:
-    """It has no frame but its own for commands without a position, and no altitude of a fence's items."""
+    """An ArduPilot keeps no frame of commands without a position, and no altitude of fence items."""
     if sent.command == mav_cmd.NAV_RALLY_POINT:
         return _same_place(sent, kept) or _same_place(replace(sent, z=float(int(sent.z or 0.0))), kept)
     if sent.command in FENCE_COMMANDS:

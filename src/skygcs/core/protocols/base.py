@@ -30,7 +30,7 @@ class Transmit:
 
 @dataclass(frozen=True, slots=True)
 class Send:
-    """Send this message, of a machine that has several kinds of them; the shell fills in its target fields."""
+    """Send this message (for machines that send several kinds); the shell fills in its target fields."""
 
     message: str
     values: Mapping[str, Any]
@@ -38,7 +38,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class ProgressReport:
-    """The vehicle is working on it; ``percent`` is None where it does not say how far."""
+    """The vehicle is working on the request; ``percent`` is None if it reports no progress."""
 
     percent: int | None
 
@@ -50,7 +50,7 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Data that follows what came before: to be written at ``offset``."""
+    """Next data, to be written at ``offset``."""
 
     offset: int
     data: bytes

@@ -25,7 +25,7 @@ THIRD_PARTY_SHARE = 0.5
 """Part of the uplink for all third-party traffic; the other half is ours whatever others do."""
 
 CORRECTIONS_SHARE = 0.4
-"""The same for RTCM corrections, which are counted apart: of 500 B/s 200, the observations of one constellation."""
+"""Part of the uplink for RTCM corrections, counted apart: 200 of 500 B/s, the observations of one constellation."""
 
 BURST_S = 1.0
 LEAST_BURST_BYTES = 280.0
@@ -43,7 +43,7 @@ ORDERS_BURST_BYTES = 900.0
 a large network."""
 
 EMERGENCIES_BURST_BYTES = 64 * 45.0
-"""The same of emergencies, with as many bytes a second as all third-party traffic."""
+"""Burst of emergencies; their rate is that of all third-party traffic."""
 
 MAX_SOURCES = 64
 """Sources with rates of their own; further ones share those of one."""
@@ -106,7 +106,7 @@ IsWaiting = Callable[[Priority, Hashable, Hashable], bool]
 
 
 class _Source:
-    """One program or ground station, by what its frames say."""
+    """One program or ground station, identified by its frames."""
 
     __slots__ = ("buckets", "changes", "counts", "heard_at", "key", "late", "reported", "serial", "thinned")
 
@@ -117,7 +117,7 @@ class _Source:
         self.buckets: dict[Hashable, TokenBucket] = {}
         """By message id with a rate, and by vehicle."""
         self.changes: dict[int, tuple[Hashable, int]] = {}
-        """By vehicle, what was to be changed there last, and its number: the same again is a repeat only of that."""
+        """Last change per vehicle, with its serial: an equal change counts as a repeat of this one only."""
         self.serial = 0
         self.late: dict[int, Hashable] = {}
         """By vehicle, the key of the last order that went in the last class: later ones must not overtake it."""

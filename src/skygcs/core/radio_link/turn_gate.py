@@ -30,13 +30,13 @@ FILE_SILENCE_S = 3.0
 """A file of which nothing went up or came down for so long has ended: stations repeat a request after a second."""
 
 LONGEST_FILE_S = 300.0
-"""After so long the next request takes the turn, whosever it is."""
+"""After so long the next request takes the turn, from any sender."""
 
 ALL_COMPONENTS_ANSWER = 1
 """The autopilot. Its values are counted in a list that was requested of all components (0)."""
 
 MAX_WAITING = 254
-"""Vehicles there can be."""
+"""Largest number of vehicles."""
 
 
 class TurnGate:

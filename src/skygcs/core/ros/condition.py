@@ -79,7 +79,7 @@ def ros_mode(fields: dict[str, Any]) -> str:
 
 
 def disconnected(now_ns: int) -> Sample:
-    """The state of a vehicle that is not heard."""
+    """State of a vehicle that is not heard."""
     return Sample("state", {"header": header(now_ns)})
 
 

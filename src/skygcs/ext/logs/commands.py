@@ -18,7 +18,7 @@ import typer
 from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_number
-from skygcs.cli.render import say
+from skygcs.cli.render import console, print_lines, say, table
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
@@ -27,7 +27,6 @@ from skygcs.ext.logs.census import Census
 from skygcs.ext.logs.cutting import filter_log, merge_logs, split_log
 from skygcs.ext.logs.player import play_log
 from skygcs.ext.logs.table_files import write_tables
-from skygcs.terminal_text import visible
 from skygcs.tlog.files import KIND_NAMES, opened_log
 from skygcs.tlog.selection import Selection, SourceFilter
 
@@ -566,45 +565,32 @@ def _counted(file: Path, dialect: Dialect) -> tuple[str, dict[str, Any]]:
 
 
 def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    console = Console(soft_wrap=True)
     # the file as a whole
     duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
-    console.print(
-        f"[bold]{escape(visible(file.name))}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False
-    )
-    console.print(
-        f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} with an unknown id, "
-        f"{answer['skipped_bytes']} bytes skipped",
-        highlight=False,
-    )
-    for line in _remarks(answer):
-        console.print(escape(line), highlight=False)
+    say(f"{file.name}: {kind}, {answer['records']} records{duration}")
+    counts = f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} with an unknown id"
+    print_lines([f"{counts}, {answer['skipped_bytes']} bytes skipped", *_remarks(answer), ""])
     # its vehicles
+    screen = console()
+    columns = ("vehicle", "autopilot", "type", "heard, s", "armed", "lost", "modes")
     if answer["vehicles"]:
-        table = Table("vehicle", "autopilot", "type", "heard, s", "armed", "lost", box=box.SIMPLE_HEAD)
-        table.add_column("modes", overflow="fold")
-        for v in answer["vehicles"][:MOST_ROWS]:
-            heard = "" if v["first_s"] is None else f"{v['first_s']:.1f} to {v['last_s']:.1f}"
-            armed, lost = "yes" if v["armed"] else "no", f"{100 * v['loss_ratio']:.1f} %"
-            row = (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, armed, lost)
-            table.add_row(*row, "\n".join(v["modes"]))
-        console.print(table)
+        rows = [_vehicle_row(v) for v in answer["vehicles"][:MOST_ROWS]]
+        screen.print(table(columns, rows, right=("lost",), wrap=("modes",)))
         _print_more(len(answer["vehicles"]))
     else:
-        console.print("no vehicle")
+        say("no vehicle")
     # its sources and messages
-    for title, counts in (("source", answer["sources"]), ("message", answer["types"])):
-        table = Table(title, box=box.SIMPLE_HEAD)
-        table.add_column("frames", justify="right")
-        for name, count in list(counts.items())[:MOST_ROWS]:
-            table.add_row(name, str(count))
-        console.print(table)
-        _print_more(len(counts))
+    for title, frames in (("source", answer["sources"]), ("message", answer["types"])):
+        say("")
+        rows = [(name, str(count)) for name, count in list(frames.items())[:MOST_ROWS]]
+        screen.print(table((title, "frames"), rows, right=("frames",)))
+        _print_more(len(frames))
+
+
+def _vehicle_row(v: dict[str, Any]) -> tuple[str, ...]:
+    heard = "" if v["first_s"] is None else f"{v['first_s']:.1f} to {v['last_s']:.1f}"
+    armed, lost = "yes" if v["armed"] else "no", f"{100 * v['loss_ratio']:.1f} %"
+    return (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, armed, lost, ", ".join(v["modes"]))
 
 
 def _print_more(rows: int) -> None:
