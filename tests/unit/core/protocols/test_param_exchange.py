@@ -208,7 +208,7 @@ class ParamMachine(RuleBasedStateMachine):
             assert not 0 <= self.value <= 3
 
     def teardown(self) -> None:
-        if not hasattr(self, "protocol"):
+        if not hasattr(self, "exchange"):
             return
         for _ in range(40):
             if not self.exchange.done:

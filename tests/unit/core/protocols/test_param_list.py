@@ -230,7 +230,7 @@ class ListMachine(RuleBasedStateMachine):
             assert len(set(names)) == len(names) == exchange.outcome.count
 
     def teardown(self) -> None:
-        if not hasattr(self, "protocol"):
+        if not hasattr(self, "exchange"):
             return
         for _ in range(2000):
             while self.up:
