@@ -57,9 +57,7 @@ def test_without_a_rate_only_the_burst_goes() -> None:
     st.floats(1, 300),
     st.sampled_from([0.0, 1e6]),
 )
-def test_over_any_time_no_more_than_rate_and_burst_is_taken(
-    steps: list[tuple[float, float]], rate: float, burst: float, now: float
-) -> None:
+def test_over_any_time_no_more_than_rate_and_burst_is_taken(steps, rate, burst, now) -> None:
     bucket = TokenBucket(rate, burst, now)
     taken: list[tuple[float, float]] = []
     for pause_s, amount in steps:

@@ -219,9 +219,7 @@ places = st.tuples(st.floats(-90, 90), st.floats(-90, 90))
 
 
 @given(st.lists(places, min_size=1, max_size=6), st.floats(0.0, 20.0))
-def test_no_narrow_place_of_a_way_is_missed_and_a_wide_one_passes(
-    way: list[tuple[float, float]], room_m: float
-) -> None:
+def test_no_narrow_place_of_a_way_is_missed_and_a_wide_one_passes(way, room_m) -> None:
     """Against a search at every 5 cm."""
     thin = FencePolygon(False, (at(-2, 20), at(-1.9, 20), at(-1.9, 80), at(-2, 80)))
     area = FenceArea(FencePlan((square(100, True), thin)), any_inclusion=False)

@@ -74,9 +74,7 @@ def test_many_values_are_judged_in_one_pass_as_one_is() -> None:
         (ParamMetadata("A"), 1e30, False, False),
     ],
 )
-def test_what_is_outside_and_what_has_no_meaning(
-    known: ParamMetadata, value: float, outside: bool, strange: bool
-) -> None:
+def test_what_is_outside_and_what_has_no_meaning(known, value, outside, strange) -> None:
     assert (bool(known.outside(value)), bool(known.without_meaning(value))) == (outside, strange)
 
 

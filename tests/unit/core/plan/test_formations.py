@@ -15,9 +15,7 @@ NINETY = math.radians(90.0)
 
 
 @given(st.sampled_from(SHAPES), st.integers(2, 60), st.floats(0.5, 20), st.floats(-10, 10))
-def test_neighbours_are_a_spacing_apart_and_the_middle_is_where_it_is_put(
-    shape: str, count: int, spacing: float, yaw: float
-) -> None:
+def test_neighbours_are_a_spacing_apart_and_the_middle_is_where_it_is_put(shape, count, spacing, yaw) -> None:
     places = formation(shape, count, spacing, (10.0, -5.0, 7.0), yaw)
     assert len(places) == count
     assert min(math.dist(p, q) for p, q in combinations(places, 2)) == pytest.approx(spacing, rel=1e-9)

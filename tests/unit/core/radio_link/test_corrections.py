@@ -260,9 +260,7 @@ EVENT = st.tuples(
 
 
 @given(st.lists(EVENT, max_size=60), st.floats(min_value=50.0, max_value=5000.0))
-def test_what_goes_is_whole_new_within_the_budget_and_bounded(
-    events: list[tuple[int, int, int, float, bool]], bytes_per_s: float
-) -> None:
+def test_what_goes_is_whole_new_within_the_budget_and_bounded(events, bytes_per_s) -> None:
     corrections, receiver = Corrections(bytes_per_s, 0.0), Receiver()
     now, offered = 0.0, set()
     for number, (type_, body_bytes, station, pause_s, lost) in enumerate(events):

@@ -195,9 +195,7 @@ FLOODS = st.lists(
 
 @settings(max_examples=examples(25), deadline=None)
 @given(FLOODS)
-def test_whatever_floods_the_table_keeps_its_bounds_and_its_counts(
-    steps: list[tuple[str, int, int, bool, str]],
-) -> None:
+def test_whatever_floods_the_table_keeps_its_bounds_and_its_counts(steps) -> None:
     net = RoutedNet()
     for name, link in LINKS.items():
         net.open(name, ChannelPolicy(link=link))

@@ -49,9 +49,7 @@ def test_a_vehicle_is_closed_until_its_gate_opens_and_again_when_the_time_is_ove
         ((ALPHA,), NO_TARGET, (ALPHA, BRAVO), True),
     ],
 )
-def test_frames_for_everybody_follow_who_else_is_heard(
-    held: tuple[int, ...], target: int, others: tuple[int, ...], passes: bool
-) -> None:
+def test_frames_for_everybody_follow_who_else_is_heard(held, target, others, passes) -> None:
     g = Gated()
     g.gate.until |= dict.fromkeys(held, 12.0)
     assert g.gates.passes(AIR, target, others, 11.0) is passes

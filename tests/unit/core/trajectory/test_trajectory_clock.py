@@ -160,9 +160,7 @@ orders = st.lists(
 
 @settings(max_examples=examples(80))
 @given(orders, st.floats(0.05, 3.0), st.sampled_from([SQUARE, LINE]))
-def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration(
-    steps: list[tuple[float, str | float]], factor: float, trajectory: Trajectory
-) -> None:
+def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration(steps, factor, trajectory) -> None:
     """Whatever is ordered and when: s is continuous and monotone, the reference a motion with bounded acceleration."""
     brake = 1.5
     clock = running(common_clock([LoadedTrajectory(trajectory)], brake, factor))
