@@ -62,15 +62,6 @@ def test_x_points_along_its_heading_and_y_to_the_left_of_it(place, offset, headi
     assert up == pytest.approx(offset[2], abs=1e-3)
 
 
-def test_with_x_to_the_north_north_is_x_and_west_is_y() -> None:
-    origin = Origin(*HOME, x_heading_deg=0.0)
-    assert geo.world_from_enu((1.0, 2.0, 3.0), origin) == pytest.approx((2.0, -1.0, 3.0))
-    assert geo.enu_from_world((2.0, -1.0, 3.0), origin) == pytest.approx((1.0, 2.0, 3.0))
-    assert geo.world_yaw_rad(0.0, origin) == 0.0
-    assert geo.world_yaw_rad(270.0, origin) == pytest.approx(math.pi / 2)
-    assert geo.heading_from_world_yaw_deg(math.pi / 2, origin) == pytest.approx(270.0)
-
-
 def test_plain_enu_turns_nothing_to_the_last_bit() -> None:
     vector = (0.1, 1 / 3, -7e-9)
     assert geo.world_from_enu(vector, TORONTO) == vector

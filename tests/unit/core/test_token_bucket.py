@@ -17,14 +17,11 @@ def test_it_begins_full_and_fills_at_its_rate() -> None:
     assert bucket.saved(1e6) == 3.0
 
 
-def test_what_is_larger_than_the_burst_goes_when_it_is_full() -> None:
+def test_what_is_larger_than_the_burst_goes_when_it_is_full_and_a_reserve_stays() -> None:
     bucket = TokenBucket(100.0, 100.0)
     assert bucket.take(0.0, 250.0)
     assert bucket.saved(0.0) == -150.0
     assert bucket.ready_at(250.0, 0.0) == pytest.approx(2.5)
-
-
-def test_a_reserve_stays() -> None:
     bucket = TokenBucket(10.0, 100.0)
     assert bucket.ready_at(60.0, 0.0, reserve=30.0) == 0.0
     bucket.spend(20.0, 0.0)
