@@ -33,10 +33,8 @@ def test_the_shapes_look_along_the_heading() -> None:
 
 
 def test_points_are_moved_turned_and_scaled_about_their_middle() -> None:
-    points = [(0.0, 0.0, 1.0), (4.0, 0.0, 3.0)]
-    found = placed(points, (0.0, 0.0, 10.0), NINETY, 2.0)
-    assert found[0] == pytest.approx((0.0, -4.0, 8.0))
-    assert found[1] == pytest.approx((0.0, 4.0, 12.0))
+    first, second = placed([(0.0, 0.0, 1.0), (4.0, 0.0, 3.0)], (0.0, 0.0, 10.0), NINETY, 2.0)
+    assert (*first, *second) == pytest.approx((0.0, -4.0, 8.0, 0.0, 4.0, 12.0))
 
 
 @each(
