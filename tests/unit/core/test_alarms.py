@@ -40,6 +40,7 @@ def happen(alarms: Alarms, *events: Event, now: float = 100.0, facts: VehicleFac
 
 
 MEETS = event("separation", level="warning", **{"with": "b"})
+PARTS = event("separation", level=None, **{"with": "b"})
 
 CASES = {
     "lost": (event("vehicle_lost", age_s=3.0), event("vehicle_back")),
@@ -50,10 +51,7 @@ CASES = {
     "return": (event("command", order="rtl", result="failed"), event("command", order="rtl", ok=True)),
     "guard": (event("control", state="held"), event("control", state="flying")),
     "fence": (event("fence", outside=True), event("fence", outside=False)),
-    "separation": (
-        event("separation", level="warning", **{"with": "b"}),
-        event("separation", level=None, **{"with": "b"}),
-    ),
+    "separation": (MEETS, PARTS),
     "recorder": (event("recorder", None, recording=False), event("recorder", None, recording=True)),
     "keys": (event("companion", None, change="keys_kept"), event("companion", None, change="keys_read")),
     "unwatched": (event("separation", watched=False), event("separation", watched=True)),
@@ -87,13 +85,10 @@ def test_each_kind_is_raised_once_counted_and_ends(kind: str) -> None:
 
 
 def test_what_is_no_alarm_raises_none() -> None:
+    orders = (("stop", True, None), ("arm", False, None), ("stop", False, "cancelled"), ("rtl", False, "failed"))
     quiet = [
-        event("command", order="stop", ok=True),
-        event("command", order="stop", result="in_progress"),
-        event("command", order="arm", ok=False),
-        event("command", order="rtl", ok=False, result="failed"),
-        event("command", order="rtl", result="in_progress"),
-        event("command", order="stop", ok=False, result="cancelled"),
+        *(event("command", order=order, ok=ok, result=result) for order, ok, result in orders),
+        *(event("command", order=order, result="in_progress") for order in ("stop", "rtl")),
         event("statustext", level=4),
         event("statustext", text="PreArm: Compass not healthy", level=2),
         event("separation", level="notice", **{"with": "b"}),
@@ -110,29 +105,22 @@ def test_what_is_no_alarm_raises_none() -> None:
 def test_a_hold_ends_no_alarm_of_a_return_that_was_given_up() -> None:
     """It holds already, and nobody sends it home by that."""
     alarms = Alarms()
-    assert happen(alarms, event("command", order="rtl", result="failed")) == ["return"]
-    happen(alarms, event("command", order="hold", ok=True))
+    orders = event("command", order="rtl", result="failed"), event("command", order="hold", ok=True)
+    assert happen(alarms, *orders) == ["return"]
     assert [alarm.active for alarm in alarms.all()] == [True]
 
 
 def test_one_loss_is_one_alarm() -> None:
     """It was 20 separation events around one vehicle."""
-    alarms = Alarms()
+    alarms, blind = Alarms(), event("separation", watched=False)
     meets = [event("separation", f"v{n}", level="warning", **{"with": "a"}) for n in range(10)]
-    assert happen(alarms, *meets[:2], event("separation", watched=False), now=95.0) == [
-        "separation",
-        "separation",
-        "unwatched",
-    ]
+    assert happen(alarms, *meets[:2], blind, now=95.0) == ["separation", "separation", "unwatched"]
     assert happen(alarms, event("vehicle_lost"), now=100.0) == ["lost"]
-    assert happen(alarms, *meets, event("uplink_lost"), event("separation", watched=False), now=101.0) == []
+    assert happen(alarms, *meets, event("uplink_lost"), blind, now=101.0) == []
     (alarm,) = alarms.all()
     assert alarm.consequences == {"separation": 12, "unwatched": 2, "deaf": 1}
-    # what concerns others, or is no consequence, is an alarm
-    assert happen(alarms, event("separation", "b", level="action", **{"with": "c"}), event("failsafe")) == [
-        "separation",
-        "failsafe",
-    ]
+    others = event("separation", "b", level="action", **{"with": "c"})
+    assert happen(alarms, others, event("failsafe")) == ["separation", "failsafe"], "of others, or no consequence"
     # one that was seen before, or began long before, stays what it is
     alarms = Alarms()
     happen(alarms, meets[0], now=10.0)
@@ -140,9 +128,8 @@ def test_one_loss_is_one_alarm() -> None:
     alarms.acknowledge([2], "mia", 96.0)
     happen(alarms, event("vehicle_lost"), now=100.0)
     assert [alarm.kind for alarm in alarms.all()] == ["lost", "separation", "separation"]
-    # heard again and forgotten
     happen(alarms, event("vehicle_back"))
-    assert happen(alarms, meets[5], now=130.0) == ["separation"]
+    assert happen(alarms, meets[5], now=130.0) == ["separation"], "heard again and forgotten"
 
 
 def test_an_acknowledged_alarm_is_news_when_it_gets_worse_and_leaves_when_it_is_over() -> None:

@@ -17,14 +17,11 @@ def test_it_begins_full_and_fills_at_its_rate() -> None:
     assert bucket.saved(1e6) == 3.0
 
 
-def test_what_is_larger_than_the_burst_goes_when_it_is_full() -> None:
+def test_what_is_larger_than_the_burst_goes_when_it_is_full_and_a_reserve_stays() -> None:
     bucket = TokenBucket(100.0, 100.0)
     assert bucket.take(0.0, 250.0)
     assert bucket.saved(0.0) == -150.0
     assert bucket.ready_at(250.0, 0.0) == pytest.approx(2.5)
-
-
-def test_a_reserve_stays() -> None:
     bucket = TokenBucket(10.0, 100.0)
     assert bucket.ready_at(60.0, 0.0, reserve=30.0) == 0.0
     bucket.spend(20.0, 0.0)
@@ -57,9 +54,7 @@ def test_without_a_rate_only_the_burst_goes() -> None:
     st.floats(1, 300),
     st.sampled_from([0.0, 1e6]),
 )
-def test_over_any_time_no_more_than_rate_and_burst_is_taken(
-    steps: list[tuple[float, float]], rate: float, burst: float, now: float
-) -> None:
+def test_over_any_time_no_more_than_rate_and_burst_is_taken(steps, rate, burst, now) -> None:
     bucket = TokenBucket(rate, burst, now)
     taken: list[tuple[float, float]] = []
     for pause_s, amount in steps:

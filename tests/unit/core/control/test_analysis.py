@@ -113,9 +113,7 @@ def test_poles_are_those_known_for_the_default_gains(name: str, wanted: list[com
         (AxisGains(1.0, 0.2, 0.02), 4.469, 76.1, 0.297),
     ],
 )
-def test_margins_are_those_known_for_normalised_thrust(
-    gains: AxisGains, crossover: float, phase_deg: float, delay: float
-) -> None:
+def test_margins_are_those_known_for_normalised_thrust(gains, crossover, phase_deg, delay) -> None:
     found = margins_of(Loop(gains, THRUST))
     assert found.crossover_radps == pytest.approx(crossover, abs=6e-4)
     assert math.degrees(found.phase_margin_rad) == pytest.approx(phase_deg, abs=0.06)

@@ -119,27 +119,3 @@ def test_where_no_repair_has_anything_to_do_the_law_is_the_original(flight, kd, 
             return
         assert output.thrust_enu == pytest.approx(expected, abs=1e-12)
         assert memory.integral_enu == pytest.approx(original.integral, abs=1e-12)
-
-
-def test_the_original_kicks_with_its_first_slope():
-    """18 m/s² of slope out of a vehicle that stands still 1 m off; the repaired law is in test_cascade."""
-    original = OriginalLaw(kd=(0.01, 0.01, 0.01))
-    original.thrust((1, 0, 0), (0, 0, 0))
-    assert original.slope[0] == pytest.approx(18.3, abs=0.1)
-
-
-def test_the_original_loses_its_integral_in_ardupilots_guided():
-    original = OriginalLaw()
-    original.thrust((1, 0, 0), (0, 0, 0), mode="GUIDED")
-    assert original.integral == [0.0, 0.0, 0.0]
-
-
-def test_the_original_winds_its_horizontal_integral_far_past_what_it_can_fly():
-    original = OriginalLaw()
-    for _ in range(20_000):
-        original.thrust((40, 0, 0), (-30, 0, 10))
-    assert abs(original.integral[0]) > 1.0
-
-
-def test_the_original_takes_metres_per_second_squared_for_thrust():
-    assert OriginalLaw().thrust((0, 0, 0), (0, 0, 0), acc_ref=(0, 0, 0.4))[2] == pytest.approx(0.85)

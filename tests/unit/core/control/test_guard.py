@@ -27,22 +27,10 @@ from support.table import each
 NAN = math.nan
 HERE = Estimate((1.0, 2.0, 3.0), (0.1, 0.0, 0.0))
 WELL = GuardFacts(
-    connected=True,
-    armed=True,
-    following=True,
-    state_age_s=0.02,
-    rtt_p95_s=0.03,
-    delay_p95_s=0.05,
-    estimate=HERE,
-    finite=True,
-    fix_ok=True,
-    airborne=True,
-    battery_percent=80.0,
-    inside_fence=True,
-    reference_inside_fence=True,
-    rate_hz=50.0,
-    rate_min_hz=20.0,
-    refusing=None,
+    **dict.fromkeys(("connected", "armed", "following", "finite", "fix_ok", "airborne"), True),
+    **dict.fromkeys(("inside_fence", "reference_inside_fence"), True),
+    **{"state_age_s": 0.02, "rtt_p95_s": 0.03, "delay_p95_s": 0.05, "estimate": HERE, "battery_percent": 80.0},
+    **{"rate_hz": 50.0, "rate_min_hz": 20.0, "refusing": None},
 )
 CONFIG = GuardConfig()
 RETURNING = GuardConfig(return_after_s=5.0)
@@ -109,19 +97,13 @@ def test_ends_control_where_no_mode_is_safe() -> None:
             assert (verdict.action, verdict.kinds) == ("release", (kind,)), changes
 
 
-def test_may_send_so_that_the_mode_can_be_entered_but_not_after() -> None:
-    guard = Guard(CONFIG, ControlMode.ATTITUDE)
-    assert guard.check(but(following=False, engaging=True), 0.0).action == "send"
-    assert guard.check(WELL, 1.0).action == "send"
-    assert guard.check(but(following=False), 2.0).action == "release"
-
-
-def test_while_engaging_the_way_follows_the_facts_up_again() -> None:
+def test_while_engaging_it_may_send_and_the_way_follows_the_facts_up_again() -> None:
     guard = Guard(CONFIG, ControlMode.ATTITUDE)
     unmeasured = but(following=False, engaging=True, rtt_p95_s=None, delay_p95_s=None)
     assert guard.check(unmeasured, 0.0).control_mode is ControlMode.VELOCITY
     assert guard.check(but(following=False, engaging=True), 0.5).control_mode is ControlMode.ATTITUDE
     assert guard.check(WELL, 1.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=False)
+    assert guard.check(but(following=False), 2.0).action == "release"
 
 
 def test_fights_nobody_however_unsafe_it_is() -> None:
@@ -134,63 +116,32 @@ def test_tells_every_reason_of_a_hold_and_the_cause_of_a_release() -> None:
     assert checked(but(rebooted=True, armed=False, following=False, airborne=False)).kinds == ("rebooted",)
 
 
+LEAVES = "the link leaves {} setpoints per second (attitude needs {})"
+HELD = LEAVES + ": each is held until the next, on average {} s of additional delay, instead of {} s"
+STALE = "state is 0.51 s old (limit for attitude and velocity 0.5 s)"
+IN_TICKS = "is 0.101 s in 95 of 100 ticks (limit for attitude 0.1 s)"
+BY_PINGS = "is at least 0.360 s, by pings that are not answered (limit for attitude 0.1 s)"
+NO_TRIP = "round trip is not measured yet"
+CLIMB = "thrust means climb rate"
 UNFIT = [
-    (
-        {"state_age_s": 0.51},
-        ControlMode.POSITION,
-        "stale",
-        "state is 0.51 s old (limit for attitude and velocity 0.5 s)",
-    ),
-    (
-        {"delay_p95_s": 0.101},
-        ControlMode.VELOCITY,
-        "attitude_delay",
-        "is 0.101 s in 95 of 100 ticks (limit for attitude 0.1 s)",
-    ),
-    (
-        {"delay_p95_s": 0.36, "pings_overdue": True},
-        ControlMode.VELOCITY,
-        "attitude_delay",
-        "is at least 0.360 s, by pings that are not answered (limit for attitude 0.1 s)",
-    ),
+    ({"state_age_s": 0.51}, ControlMode.POSITION, "stale", STALE),
+    ({"delay_p95_s": 0.101}, ControlMode.VELOCITY, "attitude_delay", IN_TICKS),
+    ({"delay_p95_s": 0.36, "pings_overdue": True}, ControlMode.VELOCITY, "attitude_delay", BY_PINGS),
     ({"delay_p95_s": 0.501}, ControlMode.POSITION, "velocity_delay", "limit for velocity 0.5 s"),
     ({"delay_p95_s": math.inf}, ControlMode.POSITION, "velocity_delay", "inf s"),
     ({"delay_p95_s": NAN}, ControlMode.POSITION, "velocity_delay", "nan s"),
     ({"rtt_p95_s": NAN}, ControlMode.VELOCITY, "attitude_delay", "limit for attitude"),
-    ({"rtt_p95_s": None, "delay_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip is not measured yet"),
-    ({"rtt_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip is not measured yet"),
-    (
-        {"rate_hz": 8.0},
-        ControlMode.VELOCITY,
-        "attitude_rate",
-        "the link leaves 8 setpoints per second (attitude needs 20): each is held until the next, on average 0.062 s "
-        "of additional delay, instead of 0.025 s",
-    ),
-    (
-        {"rate_hz": 1.9},
-        ControlMode.POSITION,
-        "velocity_rate",
-        "the link leaves 1.9 setpoints per second (velocity needs 2",
-    ),
+    ({"rtt_p95_s": None, "delay_p95_s": None}, ControlMode.VELOCITY, "unmeasured", NO_TRIP),
+    ({"rtt_p95_s": None}, ControlMode.VELOCITY, "unmeasured", NO_TRIP),
+    ({"rate_hz": 8.0}, ControlMode.VELOCITY, "attitude_rate", HELD.format(8, 20, "0.062", "0.025")),
+    ({"rate_hz": 1.9}, ControlMode.POSITION, "velocity_rate", "1.9 setpoints per second (velocity needs 2"),
     (
         {"rate_hz": 0.5, "rate_min_hz": 0.8},
-        ControlMode.POSITION,
-        "attitude_rate",
-        "(attitude needs 0.8): each is held until the next, on average 1.000 s of additional delay, instead of 0.625 s",
+        *(ControlMode.POSITION, "attitude_rate", HELD.format(0.5, 0.8, "1.000", 0.625)),
     ),
-    (
-        {"rate_hz": 0.0},
-        ControlMode.POSITION,
-        "attitude_rate",
-        "the link leaves 0 setpoints per second (attitude needs 20)",
-    ),
+    ({"rate_hz": 0.0}, ControlMode.POSITION, "attitude_rate", LEAVES.format(0, 20)),
     ({"rate_hz": NAN}, ControlMode.POSITION, "attitude_rate", "nan"),
-    (
-        {"attitude_refused": "thrust means climb rate"},
-        ControlMode.VELOCITY,
-        "attitude_refused",
-        "thrust means climb rate",
-    ),
+    ({"attitude_refused": CLIMB}, ControlMode.VELOCITY, "attitude_refused", CLIMB),
 ]
 
 
@@ -420,18 +371,11 @@ def mostly(well: Any, other: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 vectors = st.tuples(*[st.floats(-2e6, 2e6) | st.floats()] * 3)
 OTHER: dict[str, st.SearchStrategy[Any]] = {
-    "state_age_s": number,
-    "rtt_p95_s": number,
-    "delay_p95_s": number,
-    "battery_percent": number,
-    "rate_hz": st.floats() | st.floats(0.0, 60.0),
-    "rate_min_hz": st.floats() | st.floats(0.0, 60.0),
+    **dict.fromkeys(("state_age_s", "rtt_p95_s", "delay_p95_s", "battery_percent"), number),
+    **dict.fromkeys(("rate_hz", "rate_min_hz"), st.floats() | st.floats(0.0, 60.0)),
     "estimate": st.none() | st.builds(Estimate, vectors, vectors),
     "airborne": st.sampled_from([None, False]),
-    "refusing": st.text(max_size=5),
-    "attitude_refused": st.text(max_size=5),
-    "position_breach": st.text(max_size=5),
-    "reference_breach": st.text(max_size=5),
+    **dict.fromkeys(("refusing", "attitude_refused", "position_breach", "reference_breach"), st.text(max_size=5)),
 }
 any_facts = st.builds(
     GuardFacts, **{f.name: mostly(getattr(WELL, f.name), OTHER.get(f.name, st.booleans())) for f in fields(GuardFacts)}
@@ -459,9 +403,7 @@ def run(
 
 
 @given(configs, ways, sequences)
-def test_whatever_comes_it_keeps_its_rules(
-    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[GuardFacts, float]]
-) -> None:
+def test_whatever_comes_it_keeps_its_rules(config, wanted, sequence) -> None:
     """Never above the wanted mode; up only after the set time; an end is final; each change is reported once."""
     guard, now = Guard(config, wanted), 0.0
     before, reported, lower_since = ("send", wanted), set[str](), 0.0
@@ -502,9 +444,7 @@ def test_whatever_comes_it_keeps_its_rules(
     ways,
     st.lists(st.tuples(st.sampled_from([WELL, *map(lambda c: but(**c), SINGLE)]), st.floats(-1.0, 4.0)), max_size=40),
 )
-def test_says_the_same_whether_or_not_it_goes_by_the_whole_table(
-    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[GuardFacts, float]]
-) -> None:
+def test_says_the_same_whether_or_not_it_goes_by_the_whole_table(config, wanted, sequence) -> None:
     quick = run(config, wanted, sequence)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("skygcs.core.control.guard.all_well", lambda config, facts, wanted: False)

@@ -41,9 +41,7 @@ def flown(gains: AxisGains, delay_s: float, rate_hz: float, telemetry_hz: float,
 
 @AXES
 @each(("delay_s", "rate_hz"), thinned(itertools.product((0.1, 0.2, 0.3, 0.4, 0.5), (5.0, 10.0, 20.0, 50.0)), 9))
-def test_suggested_gains_are_stable_and_overshoot_by_less_than_30_percent(
-    gains: AxisGains, delay_s: float, rate_hz: float
-) -> None:
+def test_suggested_gains_are_stable_and_overshoot_by_less_than_30_percent(gains, delay_s, rate_hz) -> None:
     slow = suggested(gains, delay_s, rate_hz, rate_hz)
     worst = max((flown(slow, delay_s, rate_hz, rate_hz, phase) for phase in (0.02, 0.98)), key=lambda f: f.overshoot)
     assert worst.settled and worst.overshoot <= 0.3
@@ -57,9 +55,7 @@ def test_suggested_gains_are_stable_and_overshoot_by_less_than_30_percent(
     phase=st.floats(0.0, 0.99),
 )
 @settings(max_examples=examples(15))
-def test_the_same_anywhere_in_between(
-    gains: AxisGains, delay_s: float, rate_hz: float, telemetry_hz: float, phase: float
-) -> None:
+def test_the_same_anywhere_in_between(gains, delay_s, rate_hz, telemetry_hz, phase) -> None:
     found = flown(suggested(gains, delay_s, rate_hz, telemetry_hz), delay_s, rate_hz, telemetry_hz, phase)
     assert found.settled and found.overshoot <= 0.3
 

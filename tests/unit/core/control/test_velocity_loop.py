@@ -70,24 +70,30 @@ def test_the_vertical_integral_is_never_larger_than_the_thrust():
     """The feed-forward keeps the thrust itself off its limits, so that nothing stops the integral."""
     assert vertical(CONFIG, 1e5, 0.0, 0.8, -0.3e5 - 0.8, DT_S).integral == 0.9
     assert vertical(CONFIG, -1e5, 0.0, -0.8, 0.3e5 + 0.8, DT_S).integral == -0.9
-
-
-def test_the_vertical_thrust_takes_the_integral_of_before_this_step():
-    assert vertical(CONFIG, 1.0, 0.0, 0.01, 0.0, DT_S).thrust == pytest.approx(0.45 + 0.3 + 0.01)
+    up = vertical(CONFIG, 1.0, 0.0, 0.01, 0.0, DT_S)
+    assert up.thrust == pytest.approx(0.45 + 0.3 + 0.01), "with the integral of before this step"
+    assert vertical(CONFIG, 1.0, 0.0, 0.05, 0.0, 0.0).integral == 0.05, "a step of no time"
+    level = horizontal(CONFIG, (10.0, -10.0), STILL, (0.05, 0.06), STILL, 0.45, 0.0)
+    assert (level.integral_x, level.integral_y) == (0.05, 0.06)
 
 
 def test_the_horizontal_limit_is_the_tilt_at_hover_and_the_rest_of_the_thrust_near_full():
-    assert horizontal_limit(CONFIG, 0.45) == pytest.approx(0.45 * math.tan(math.radians(35)))
-    assert horizontal_limit(CONFIG, 0.85) == pytest.approx(math.sqrt(0.9**2 - 0.85**2))
-    assert horizontal_limit(CONFIG, 0.9) == 0.0
-    assert horizontal_limit(CONFIG, math.nextafter(0.9, 1.0)) == 0.0, "rounding goes past it"
+    for thrust, limit in (
+        (0.45, 0.45 * math.tan(math.radians(35))),
+        (0.85, math.sqrt(0.9**2 - 0.85**2)),
+        (0.9, 0.0),
+        (math.nextafter(0.9, 1.0), 0.0),  # rounding goes past it
+    ):
+        assert horizontal_limit(CONFIG, thrust) == pytest.approx(limit)
 
 
-def test_cut_horizontal_thrust_keeps_its_direction():
+def test_cut_horizontal_thrust_and_a_bounded_integral_keep_their_direction():
     level = horizontal(CONFIG, (6.0, 8.0), STILL, STILL, STILL, 0.45, DT_S)
     assert level.cut
-    assert math.hypot(level.thrust_x, level.thrust_y) == pytest.approx(level.limit)
-    assert level.thrust_y / level.thrust_x == pytest.approx(8 / 6)
+    assert (level.thrust_x, level.thrust_y) == pytest.approx((0.6 * level.limit, 0.8 * level.limit))
+    level, most = horizontal(CONFIG, STILL, STILL, (3.0, 4.0), (-3.0, -4.0), 0.45, DT_S), CONFIG.integral_xy_max
+    assert (level.integral_x, level.integral_y) == pytest.approx((0.6 * most, 0.8 * most))
+    assert level.integral_at_bound
 
 
 def test_what_is_cut_off_pulls_the_horizontal_integral_back():
@@ -97,20 +103,6 @@ def test_what_is_cut_off_pulls_the_horizontal_integral_back():
     excess = 0.08 * 10.0 - cut.limit
     assert cut.integral_x == pytest.approx(0.02 * (10.0 - excess * 2 / 0.08) * DT_S)
     assert cut.integral_x < free.integral_x * 10.0
-
-
-def test_the_horizontal_integral_is_bounded_in_norm_and_keeps_its_direction():
-    level = horizontal(CONFIG, STILL, STILL, (3.0, 4.0), (-3.0, -4.0), 0.45, DT_S)
-    assert (level.integral_x, level.integral_y) == pytest.approx(
-        (0.6 * CONFIG.integral_xy_max, 0.8 * CONFIG.integral_xy_max)
-    )
-    assert level.integral_at_bound
-
-
-def test_a_step_of_no_time_integrates_nothing():
-    assert vertical(CONFIG, 1.0, 0.0, 0.05, 0.0, 0.0).integral == 0.05
-    level = horizontal(CONFIG, (10.0, -10.0), STILL, (0.05, 0.06), STILL, 0.45, 0.0)
-    assert (level.integral_x, level.integral_y) == (0.05, 0.06)
 
 
 # --- limit of the velocity setpoint -----------------------------------------------------------------------------------
@@ -168,9 +160,7 @@ def test_a_velocity_grows_along_its_own_direction(x: float, y: float, bx: float,
 
 
 @given(st.tuples(metres, metres, metres), st.tuples(slow, slow, slow))
-def test_near_or_moving_references_are_followed_as_without(
-    ref: tuple[float, float, float], vel: tuple[float, float, float]
-) -> None:
+def test_near_or_moving_references_are_followed_as_without(ref, vel) -> None:
     """Within a / Kp² of it, from the setpoint of the step before."""
     wanted = Reference(ref, 0.3, vel)
     off = (0.9, -0.8, 0.4)
@@ -256,7 +246,4 @@ def test_a_record_is_compared_hashed_replaced_and_shown_as_a_frozen_dataclass_is
     assert replace(point, y=3.0) == Point(1.0, 3.0) != point
     assert asdict(point) == {"x": 1.0, "y": 2.0}
     assert repr(point) == "Point(x=1.0, y=2.0)"
-
-
-def test_a_record_has_its_fields_and_nothing_else() -> None:
-    assert not hasattr(Point(1.0), "__dict__")
+    assert not hasattr(point, "__dict__")

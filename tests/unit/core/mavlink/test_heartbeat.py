@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import chain
+
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import Frame
@@ -22,47 +24,37 @@ def heartbeat(sysid: int, compid: int, kind: int, autopilot: int) -> Frame:
 
 
 @each(
-    ("sysid", "compid", "kind", "autopilot"),
+    ("vehicle", "sysid", "compid", "kind", "autopilot"),
     [
-        (1, 1, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4),
-        (1, 1, mav.MAV_TYPE_HEXAROTOR, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        (7, 3, mav.MAV_TYPE_FIXED_WING, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        (1, 1, mav.MAV_TYPE_SUBMARINE, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        (1, 1, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_PX4),
-        (1, 1, mav.MAV_TYPE_GROUND_ROVER, mav.MAV_AUTOPILOT_GENERIC),
-        (1, 1, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PPZ),
+        (True, 1, 1, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4),
+        (True, 1, 1, mav.MAV_TYPE_HEXAROTOR, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        (True, 7, 3, mav.MAV_TYPE_FIXED_WING, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        (True, 1, 1, mav.MAV_TYPE_SUBMARINE, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        (True, 1, 1, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_PX4),
+        (True, 1, 1, mav.MAV_TYPE_GROUND_ROVER, mav.MAV_AUTOPILOT_GENERIC),
+        (True, 1, 1, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PPZ),
+        (False, 255, 190, mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID),
+        (False, 255, 190, mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        (False, 2, 2, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_INVALID),
+        (False, 1, 0, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_INVALID),
+        (False, 1, 0, mav.MAV_TYPE_ADSB, mav.MAV_AUTOPILOT_INVALID),
+        (False, 1, 100, mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID),
+        (False, 1, 154, mav.MAV_TYPE_GIMBAL, mav.MAV_AUTOPILOT_GENERIC),
+        (False, 1, 194, mav.MAV_TYPE_ONBOARD_CONTROLLER, mav.MAV_AUTOPILOT_GENERIC),
+        (False, 1, 1, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_GENERIC),
+        (False, 0, 1, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4),
+        (False, 81, 50, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_PX4),  # a PX4Flow
     ],
 )
-def test_an_autopilot_is_a_vehicle(sysid: int, compid: int, kind: int, autopilot: int) -> None:
-    assert discovers(heartbeat(sysid, compid, kind, autopilot))
-
-
-@each(
-    ("sysid", "compid", "kind", "autopilot"),
-    [
-        (255, 190, mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID),
-        (255, 190, mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_ARDUPILOTMEGA),
-        (2, 2, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_INVALID),
-        (1, 0, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_INVALID),
-        (1, 0, mav.MAV_TYPE_ADSB, mav.MAV_AUTOPILOT_INVALID),
-        (1, 100, mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID),
-        (1, 154, mav.MAV_TYPE_GIMBAL, mav.MAV_AUTOPILOT_GENERIC),
-        (1, 194, mav.MAV_TYPE_ONBOARD_CONTROLLER, mav.MAV_AUTOPILOT_GENERIC),
-        (1, 1, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_GENERIC),
-        (0, 1, mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4),
-        (81, 50, mav.MAV_TYPE_GENERIC, mav.MAV_AUTOPILOT_PX4),  # a PX4Flow
-    ],
-)
-def test_what_is_no_autopilot_is_no_vehicle(sysid: int, compid: int, kind: int, autopilot: int) -> None:
-    assert not discovers(heartbeat(sysid, compid, kind, autopilot))
+def test_only_an_autopilot_is_a_vehicle(vehicle: bool, sysid: int, compid: int, kind: int, autopilot: int) -> None:
+    assert discovers(heartbeat(sysid, compid, kind, autopilot)) is vehicle
 
 
 def test_no_message_but_a_verified_heartbeat_makes_a_vehicle() -> None:
     voice = Voice()
-    assert not discovers(voice.text("hello"))
-    assert not discovers(voice.say(mav.MAVLink_radio_status_message(1, 1, 100, 1, 1, 0, 0)))
-    beat = voice.beat()
-    assert not discovers(Frame(beat.raw, 0, 1, 1, 0, None))
+    radio_status = voice.say(mav.MAVLink_radio_status_message(1, 1, 100, 1, 1, 0, 0))
+    for heard in (voice.text("hello"), radio_status, Frame(voice.beat().raw, 0, 1, 1, 0, None)):
+        assert not discovers(heard)
 
 
 def test_fields_of_a_heartbeat_whose_zeros_are_not_sent() -> None:
@@ -72,8 +64,7 @@ def test_fields_of_a_heartbeat_whose_zeros_are_not_sent() -> None:
     assert heartbeat_fields(whole) == (0x01020304, 2, 12, 0x81)
     assert shown_by(whole) == bytes((4, 3, 2, 1, 2, 12, 0x81))
     trimmed = Frame(frame("HEARTBEAT", {"custom_mode": 7, "type": 2}), 0, 1, 1, 0, info)
-    assert trimmed.raw[1] == 5
-    assert heartbeat_fields(trimmed) == (7, 2, 0, 0)
+    assert trimmed.raw[1] == 5 and heartbeat_fields(trimmed) == (7, 2, 0, 0)
 
 
 def test_every_type_and_autopilot_is_decided() -> None:
@@ -107,16 +98,12 @@ def test_changes_of_mode_and_of_arming_are_its_own(shown: list[tuple[float, int,
 @each("ack_after_s", [-0.05, 0.4])
 def test_changes_that_the_vehicle_acknowledged_are_its_own_however_long_they_go_on(ack_after_s: float) -> None:
     check = HeartbeatCheck()
-    happened = [(float(n), None) for n in range(20)]
-    happened += [(n + 0.5 + ack_after_s, 176) for n in range(20)]
-    mode = 4
-    for at, command in sorted(happened, key=lambda item: item[0]):
-        if command is not None:
-            check.expect_change(command, 0, at)
+    happened = [(float(n), "beat", 4 + n % 2) for n in range(20)]
+    for at, what, mode in sorted(happened + [(n + 0.5 + ack_after_s, "ack", 0) for n in range(20)]):
+        if what == "ack":
+            check.expect_change(176, 0, at)
         else:
-            mode = 4 if mode != 4 else 5
-            assert check.judge(*COPTER, ARMED, mode, at) == "own"
-            assert check.judge(*COPTER, ARMED, mode, at + 0.45) == "own"
+            assert [check.judge(*COPTER, ARMED, mode, at + later_s) for later_s in (0.0, 0.45)] == ["own"] * 2
     assert not check.alternating
 
 
@@ -124,14 +111,10 @@ def test_changes_that_the_vehicle_acknowledged_are_its_own_however_long_they_go_
 def test_of_two_that_alternate_the_first_stays(period_s: float) -> None:
     """The second one begins at any time and sends at any rate."""
     check = HeartbeatCheck()
-    heartbeats = [(float(n), ARMED, 4) for n in range(20)]
-    heartbeats += [(3.3 + n * period_s, DISARMED, 0) for n in range(round(15 / period_s))]
-    shown = []
-    for now, base, mode in sorted(heartbeats):
-        if check.judge(*COPTER, base, mode, now) == "own":
-            shown.append((now, base))
-    late = [base for now, base in shown if now > 6.5]
-    assert late and set(late) == {ARMED}
+    beats = [(float(n), ARMED, 4) for n in range(20)]
+    beats += [(3.3 + n * period_s, DISARMED, 0) for n in range(round(15 / period_s))]
+    shown = [(now, base) for now, base, mode in sorted(beats) if check.judge(*COPTER, base, mode, now) == "own"]
+    assert {base for now, base in shown if now > 6.5} == {ARMED}
     assert check.alternating
 
 
@@ -145,30 +128,28 @@ def test_a_px4_that_gets_its_airframe_is_believed_at_once_and_a_new_type_after_a
 
 def test_sources_of_a_log_are_bounded() -> None:
     checks = HeartbeatChecks()
-    owned = 0
-    for sysid in range(1, 256):
-        for compid in range(1, 8):
-            owned += checks.own(heartbeat(sysid, compid, 2, 12), 0.0)
-    assert owned == 1024
+    sources = [(sysid, compid) for sysid in range(1, 256) for compid in range(1, 8)]
+    assert sum(checks.own(heartbeat(*source, 2, 12), 0.0) for source in sources) == 1024
 
 
 Step = tuple[float, tuple[int, int], int, int, str]
 PX4_QUAD, PX4_VTOL, PX4_BARE = (2, 12), (22, 12), (0, 12)
 
 
-def follow(check: HeartbeatCheck, steps: list[Step]) -> None:
-    """Each step: time, (type, autopilot), base mode, custom mode, and the origin that it must have."""
-    for now, (kind, autopilot), base, mode, origin in steps:
+def follow(check: HeartbeatCheck, *steps: list[Step], alternating: bool | None = None) -> None:
+    """Each step, by its time: (type, autopilot), base mode, custom mode, and the origin that it must have."""
+    for now, (kind, autopilot), base, mode, origin in sorted(chain(*steps)):
         assert check.judge(kind, autopilot, base, mode, now) == origin, f"at {now} s"
         if origin == "contradicts":
             assert check.contradicted_at == now
+    assert alternating is None or check.alternating is alternating
 
 
-def armed(times: list[float], mode: int = 4, origin: str = "own") -> list[Step]:
+def armed(*times: float, mode: int = 4, origin: str = "own") -> list[Step]:
     return [(at, COPTER, ARMED, mode, origin) for at in times]
 
 
-def disarmed(times: list[float], origin: str = "own") -> list[Step]:
+def disarmed(*times: float, origin: str = "own") -> list[Step]:
     return [(at, COPTER, DISARMED, 0, origin) for at in times]
 
 
@@ -205,30 +186,25 @@ def test_another_component_is_noted_and_changes_nothing() -> None:
 def test_two_senders_are_told_apart_at_the_third_return() -> None:
     """A state returns three times, 1.9 s between the first and the last: not a moment earlier, nor with less."""
     check = HeartbeatCheck()
-    both = sorted(armed([0.0, 1.0, 2.0]) + disarmed([0.5, 1.5, 2.5]))
-    follow(check, both)
-    assert not check.alternating
-    follow(check, armed([3.0]))
-    assert check.alternating and check.contradicted_at == 3.0
-    follow(check, disarmed([3.5], "contradicts") + armed([4.0]) + disarmed([4.5], "contradicts"))
-
+    follow(check, armed(0.0, 1.0, 2.0), disarmed(0.5, 1.5, 2.5), alternating=False)
+    follow(check, armed(3.0), alternating=True)
+    assert check.contradicted_at == 3.0
+    follow(check, disarmed(3.5, 4.5, origin="contradicts"), armed(4.0))
     for last, alternating in ((1.99, False), (2.0, True)):  # 1.9 s after 0.1, exactly
-        check = HeartbeatCheck()
-        follow(check, sorted(armed([-1.0, 0.1, 1.0, last]) + disarmed([-0.5, 0.5, 1.5])))
-        assert check.alternating is alternating, last
+        follow(HeartbeatCheck(), armed(-1.0, 0.1, 1.0, last), disarmed(-0.5, 0.5, 1.5), alternating=alternating)
 
 
 def test_of_two_that_differ_by_their_mode_alone_the_first_stays() -> None:
     check = HeartbeatCheck()
-    follow(check, sorted(armed([0.0, 1.0, 2.0, 3.0]) + armed([0.5, 1.5, 2.5], 6)))
-    follow(check, armed([3.5], 6, "contradicts") + armed([4.0]))
+    follow(check, armed(0.0, 1.0, 2.0, 3.0), armed(0.5, 1.5, 2.5, mode=6))
+    follow(check, armed(3.5, mode=6, origin="contradicts"), armed(4.0))
 
 
 def test_a_return_counts_for_six_seconds() -> None:
     """Slow alternation is no evidence: a state that was left for longer has not returned, and returns are forgotten."""
     for last, alternating in ((7.0, True), (7.1, False)):  # the first of its returns was at 1.0
         check = HeartbeatCheck(lost_s=60.0)
-        follow(check, sorted(armed([0.0, 1.0, 2.0]) + disarmed([0.5, 1.5, 2.5])))
+        follow(check, armed(0.0, 1.0, 2.0), disarmed(0.5, 1.5, 2.5))
         check.judge(*COPTER, ARMED, 4, last)
         assert check.alternating is alternating, last
 
@@ -236,9 +212,7 @@ def test_a_return_counts_for_six_seconds() -> None:
 def test_an_acknowledged_order_explains_changes_up_to_3_s_later_and_those_of_the_last_second() -> None:
     def found_at(ack_at: float | None, command: int = 400, result: int = 0) -> float | None:
         check = HeartbeatCheck()
-        for now, kind, base, mode, _ in sorted(
-            armed([float(n) for n in range(9)]) + disarmed([n + 0.5 for n in range(9)])
-        ):
+        for now, kind, base, mode, _ in sorted(armed(*range(9)) + disarmed(*(n + 0.5 for n in range(9)))):
             check.judge(*kind, base, mode, now)
             if now == ack_at:
                 check.expect_change(command, result, now)
@@ -256,67 +230,52 @@ def test_an_acknowledged_order_explains_changes_up_to_3_s_later_and_those_of_the
 def test_the_first_sender_stays_although_it_changed_its_mode_meanwhile() -> None:
     """The other one's state is the first to return three times; arming tells which of both it is."""
     check = HeartbeatCheck()
-    follow(check, sorted(armed([0.0, 1.0]) + armed([2.0, 3.0], 6) + disarmed([0.5, 1.5, 2.5])))
-    follow(check, disarmed([3.5], "contradicts") + armed([4.0], 6) + disarmed([4.5], "contradicts"))
+    follow(check, armed(0.0, 1.0), armed(2.0, 3.0, mode=6), disarmed(0.5, 1.5, 2.5))
+    follow(check, disarmed(3.5, 4.5, origin="contradicts"), armed(4.0, mode=6))
 
     # What a state shown for 2.5 s says about arming counts from then on
     for settled_s, last in ((2.5, "contradicts"), (2.4, "own")):
-        check = HeartbeatCheck()
-        begun = 1.0 + settled_s
-        follow(check, disarmed([0.0]) + armed([1.0]) + disarmed([begun]))
-        follow(check, armed([begun + 0.5]) + disarmed([begun + 1.0]) + armed([begun + 1.5], 6))
-        follow(check, disarmed([begun + 2.0], last))
-        assert check.alternating
+        check, begun = HeartbeatCheck(), 1.0 + settled_s
+        follow(check, disarmed(0.0, begun, begun + 1.0), armed(1.0, begun + 0.5), armed(begun + 1.5, mode=6))
+        follow(check, disarmed(begun + 2.0, origin=last), alternating=True)
 
 
 def two_senders() -> HeartbeatCheck:
     """Armed at each full second until 3.0, disarmed at each half."""
     check = HeartbeatCheck()
-    follow(check, sorted(armed([0.0, 1.0, 2.0, 3.0]) + disarmed([0.5, 1.5, 2.5])))
-    assert check.alternating
+    follow(check, armed(0.0, 1.0, 2.0, 3.0), disarmed(0.5, 1.5, 2.5), alternating=True)
     return check
 
 
 def test_when_one_sender_is_left_there_is_one_again() -> None:
     """The vehicle after 4 s without the other; the other one after 4 s without the vehicle, which it then is."""
-    check = two_senders()
-    follow(check, armed([4.0, 7.0]))
-    assert check.alternating
-    follow(check, armed([7.1]))
-    assert not check.alternating
-    follow(check, disarmed([7.5]))
-
-    check = two_senders()
-    follow(check, disarmed([3.5, 5.0, 7.0], "contradicts"))
-    assert check.alternating
-    follow(check, disarmed([7.1]))
-    assert not check.alternating
-    follow(check, armed([7.5]))
+    for kept, seen, origin, other in (
+        (armed, (4.0, 7.0), "own", disarmed),
+        (disarmed, (3.5, 5.0, 7.0), "contradicts", armed),
+    ):
+        check = two_senders()
+        follow(check, kept(*seen, origin=origin), alternating=True)
+        follow(check, kept(7.1), alternating=False)
+        follow(check, other(7.5))
 
 
 def test_a_state_that_neither_showed_is_the_vehicles_when_it_was_silent_for_1_5_s() -> None:
     check = two_senders()
-    follow(check, armed([4.5], 6, "contradicts") + armed([4.6, 5.0], 6))
-    assert check.alternating
-    follow(check, armed([5.5], 4, "contradicts") + armed([6.0], 6))
-    follow(check, armed([7.6], 4))  # the vehicle's state of before is not the other one's
+    follow(check, armed(4.5, mode=6, origin="contradicts"), armed(4.6, 5.0, mode=6), alternating=True)
+    follow(check, armed(5.5, origin="contradicts"), armed(6.0, mode=6))
+    follow(check, armed(7.6))  # the vehicle's state of before is not the other one's
 
 
-def test_a_vehicle_that_was_lost_is_alone_again() -> None:
+def test_a_vehicle_that_was_lost_is_alone_again_and_one_that_is_forgotten_begins_anew() -> None:
     check = two_senders()
-    follow(check, armed([8.1]))
-    assert not check.alternating
-    follow(check, disarmed([8.2]))
-
-
-def test_a_vehicle_that_is_forgotten_begins_anew() -> None:
+    follow(check, armed(8.1), alternating=False)
+    follow(check, disarmed(8.2))
     check = two_senders()
     check.forget()
     assert not check.alternating and check.identity is None
     follow(check, [(3.2, PX4_QUAD, DISARMED, 1, "own"), (3.4, COPTER, ARMED, 4, "contradicts")])
     check.forget()
-    follow(check, sorted(armed([4.0, 5.0, 6.0]) + disarmed([3.5, 4.5, 5.5])))
-    assert not check.alternating, "returns of before count no more"
+    follow(check, armed(4.0, 5.0, 6.0), disarmed(3.5, 4.5, 5.5), alternating=False)  # returns of before count no more
 
 
 def test_eight_states_are_remembered_as_left() -> None:
@@ -339,11 +298,11 @@ def test_a_logs_sources_are_judged_each_by_itself() -> None:
     checks = HeartbeatChecks()
     ack = mav.MAVLink_command_ack_message(176, 0)
     assert checks.judge(Voice(1, 1).say(ack), 0.0) is None, "no vehicle is known yet"
-    assert checks.judge(heartbeat(1, 1, 6, 8), 0.0) is None
-    assert checks.judge(heartbeat(1, 1, 2, 12), 0.0) == "own"
-    assert checks.judge(heartbeat(1, 1, 2, 3), 1.0) == "contradicts"
-    assert checks.judge(heartbeat(1, 1, 6, 8), 1.0) == "other"
-    assert checks.judge(heartbeat(2, 1, 2, 3), 1.0) == "own"
+    for sysid, kind, autopilot, at, origin in (
+        *((1, 6, 8, 0.0, None), (1, 2, 12, 0.0, "own"), (1, 2, 3, 1.0, "contradicts")),
+        *((1, 6, 8, 1.0, "other"), (2, 2, 3, 1.0, "own")),
+    ):
+        assert checks.judge(heartbeat(sysid, 1, kind, autopilot), at) == origin
     assert not checks.own(heartbeat(1, 1, 2, 3), 1.0) and checks.own(heartbeat(1, 1, 2, 12), 2.0)
     assert checks.judge(Voice(1, 1).text("hello"), 2.0) is None
 

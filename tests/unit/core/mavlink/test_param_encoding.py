@@ -90,31 +90,20 @@ def test_pymavlinks_param_value_is_read(value: float, name: str) -> None:
     assert (decoded.param.name, decoded.param.value, decoded.count, decoded.index) == (name, value, 1300, None)
 
 
-@each("name", [b"", b"\xff\xfe", b"A B", b"1ABC"])
-def test_a_name_that_is_none_is_not_read(name: bytes) -> None:
-    assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, name, 9), Encoding.C_CAST) is None
-    assert not is_name(name.decode("latin-1"))
-
-
-def test_a_type_that_is_none_is_not_read() -> None:
-    for kind in (0, 11):
-        assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, b"X", kind), Encoding.C_CAST) is None
+@each(("name", "kind"), [(b"", 9), (b"\xff\xfe", 9), (b"A B", 9), (b"1ABC", 9), (b"X", 0), (b"X", 11)])
+def test_a_name_or_a_type_that_is_none_is_not_read(name: bytes, kind: int) -> None:
+    assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, name, kind), Encoding.C_CAST) is None
+    assert is_name(name.decode("latin-1")) is (name == b"X")
 
 
 @each(
     ("autopilot", "capabilities", "expected"),
     [
-        (12, None, Encoding.BYTEWISE),
-        (3, None, Encoding.C_CAST),
-        (3, 2, Encoding.C_CAST),
-        (3, 1 << 17, Encoding.C_CAST),
-        (0, 1 << 4, Encoding.BYTEWISE),
-        (12, 1 << 17, Encoding.C_CAST),
+        *((12, None, Encoding.BYTEWISE), (3, None, Encoding.C_CAST), (3, 2, Encoding.C_CAST)),
+        *((3, 1 << 17, Encoding.C_CAST), (0, 1 << 4, Encoding.BYTEWISE), (12, 1 << 17, Encoding.C_CAST)),
     ],
 )
-def test_the_capability_decides_and_else_the_autopilot(
-    autopilot: int, capabilities: int | None, expected: Encoding
-) -> None:
+def test_the_capability_decides_and_else_the_autopilot(autopilot, capabilities, expected) -> None:
     assert encoding_of(autopilot, capabilities) is expected
 
 

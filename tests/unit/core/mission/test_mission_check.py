@@ -155,13 +155,12 @@ def test_a_repeated_corner_is_only_a_warning() -> None:
 
 def test_an_item_against_the_fence_is_an_error_and_a_way_through_it_a_warning() -> None:
     fence = FencePlan((square(100, True),), (FenceCircle(False, at(50, 0), 10.0),))
-    assert found(TAKEOFF, waypoint(120, 0), fence=fence)[0] == (
-        "ERROR mission item 2: is outside the inclusion polygon 1"
-    )
-    assert found(TAKEOFF, waypoint(55, 0), fence=fence) == ["ERROR mission item 2: is inside the exclusion circle 1"]
-    assert found(TAKEOFF, waypoint(80, 0), fence=fence) == [
-        "warning mission item 2: the path to it leads through the exclusion circle 1"
-    ]
+    for east_m, told in (
+        (120, "ERROR mission item 2: is outside the inclusion polygon 1"),
+        (55, "ERROR mission item 2: is inside the exclusion circle 1"),
+        (80, "warning mission item 2: the path to it leads through the exclusion circle 1"),
+    ):
+        assert found(TAKEOFF, waypoint(east_m, 0), fence=fence)[0] == told
     assert found(TAKEOFF, waypoint(0, 80), fence=fence) == []
 
 
@@ -219,9 +218,7 @@ places = st.tuples(st.floats(-90, 90), st.floats(-90, 90))
 
 
 @given(st.lists(places, min_size=1, max_size=6), st.floats(0.0, 20.0))
-def test_no_narrow_place_of_a_way_is_missed_and_a_wide_one_passes(
-    way: list[tuple[float, float]], room_m: float
-) -> None:
+def test_no_narrow_place_of_a_way_is_missed_and_a_wide_one_passes(way, room_m) -> None:
     """Against a search at every 5 cm."""
     thin = FencePolygon(False, (at(-2, 20), at(-1.9, 20), at(-1.9, 80), at(-2, 80)))
     area = FenceArea(FencePlan((square(100, True), thin)), any_inclusion=False)

@@ -346,8 +346,6 @@ def test_an_item_that_a_firmware_has_taken_is_known_again(family: Family, sent: 
         ("ardupilot", item(1000, 1, 2, 3, 4, 16, 0, 1, frame=2), item(1000, 1, 2, 3, 4, 16, 0, 2, frame=2)),
     ],
 )
-def test_another_item_is_not_taken_for_the_one_that_was_sent(
-    families: str, sent: MissionItem, kept: MissionItem
-) -> None:
+def test_another_item_is_not_taken_for_the_one_that_was_sent(families, sent, kept) -> None:
     for family in ("px4", "ardupilot"):
         assert family not in families.split() or not same_item(sent, kept, family)

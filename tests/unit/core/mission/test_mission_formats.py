@@ -218,31 +218,17 @@ json_values = st.recursive(
 )
 
 
-@given(
-    st.dictionaries(
-        st.sampled_from(["mission", "geoFence", "rallyPoints", "items", "complexItems", "plannedHomePosition"]),
-        json_values
-        | st.fixed_dictionaries(
-            {"version": st.just(2)},
-            optional={
-                "items": st.lists(
-                    st.dictionaries(
-                        st.sampled_from(
-                            ["type", "command", "frame", "params", "doJumpId", "coordinate", "complexItemType", "Items"]
-                        ),
-                        json_values | st.sampled_from(["ComplexItem", "StructureScan"]),
-                    ),
-                    max_size=3,
-                ),
-                "polygons": json_values,
-                "circles": json_values,
-                "points": json_values,
-                "plannedHomePosition": json_values,
-            },
-        ),
-    ),
-    st.booleans(),
+ITEM_KEYS = ["type", "command", "frame", "params", "doJumpId", "coordinate", "complexItemType", "Items"]
+json_items = st.dictionaries(
+    st.sampled_from(ITEM_KEYS), json_values | st.sampled_from(["ComplexItem", "StructureScan"])
 )
+PARTS = dict.fromkeys(("polygons", "circles", "points", "plannedHomePosition"), json_values)
+PARTS["items"] = st.lists(json_items, max_size=3)
+json_sections = json_values | st.fixed_dictionaries({"version": st.just(2)}, optional=PARTS)
+SECTIONS = ["mission", "geoFence", "rallyPoints", "items", "complexItems", "plannedHomePosition"]
+
+
+@given(st.dictionaries(st.sampled_from(SECTIONS), json_sections), st.booleans())
 def test_any_json_is_a_plan_or_a_plan_file_error(sections: dict[str, Any], whole: bool) -> None:
     root = {"version": 1, **sections, **({"fileType": "Plan"} if whole else {})}
     try:
@@ -252,15 +238,13 @@ def test_any_json_is_a_plan_or_a_plan_file_error(sections: dict[str, Any], whole
 
 
 float32s = st.floats(width=32, allow_nan=False, allow_infinity=False) | st.none()
+int32s = st.integers(-(2**31), 2**31 - 1)
 items = st.builds(
     MissionItem,
     command=st.integers(0, 4999) | st.integers(5101, 65535),
     frame=st.integers(0, 20),
     params=st.tuples(float32s, float32s, float32s, float32s),
-    x=st.integers(-(2**31), 2**31 - 1),
-    y=st.integers(-(2**31), 2**31 - 1),
-    z=float32s,
-    autocontinue=st.booleans(),
+    **{"x": int32s, "y": int32s, "z": float32s, "autocontinue": st.booleans()},
 )
 corners = st.tuples(st.floats(-90, 90), st.floats(-180, 180))
 fences = st.builds(
@@ -269,13 +253,9 @@ fences = st.builds(
     st.lists(st.builds(FenceCircle, st.booleans(), corners, st.floats(0.125, 1e5, width=32))).map(tuple),
 )
 homes = st.builds(PlannedHome, st.floats(1, 90), st.floats(-180, 180), st.floats(-500, 9000))
-plans = st.builds(
-    MissionPlan,
-    mission=st.lists(items, max_size=6).map(tuple),
-    fence=fences,
-    home=homes | st.none(),
-    settings=st.builds(PlanSettings, st.integers(0, 20), st.integers(0, 40)),
-)
+own_settings = st.builds(PlanSettings, st.integers(0, 20), st.integers(0, 40))
+missions = st.lists(items, max_size=6).map(tuple)
+plans = st.builds(MissionPlan, mission=missions, fence=fences, home=homes | st.none(), settings=own_settings)
 
 
 @given(plans)
@@ -296,14 +276,10 @@ def test_a_fence_survives_its_items_and_an_item_its_message_fields(fence: FenceP
 def test_not_set_is_nan_on_the_wire_and_null_in_a_plan() -> None:
     item = MissionItem.from_params(16, 3, (0.0, None, math.nan, None, None, None, None), True)
     values = item.values()
-    assert math.isnan(values["param2"]) and math.isnan(values["param3"]) and math.isnan(values["z"])
+    assert all(math.isnan(values[name]) for name in ("param2", "param3", "z"))
     assert (values["x"], values["y"]) == (UNSET_INT, UNSET_INT)
-    assert item.seven == (0.0, None, None, None, None, None, None)
-    assert item.position is None
-
-
-def test_both_names_of_a_global_frame_are_one() -> None:
-    assert [MissionItem(16, frame).frame for frame in (5, 6, 11, 2)] == [0, 3, 10, 2]
+    assert item.seven == (0.0, *[None] * 6) and item.position is None
+    assert [MissionItem(16, frame).frame for frame in (5, 6, 11, 2)] == [0, 3, 10, 2], "a frame has two names"
 
 
 def test_a_jump_names_the_item_in_the_plan_and_the_sequence_number_on_the_wire() -> None:
@@ -358,21 +334,20 @@ def test_numbers_that_are_no_sequence_are_counted_again_where_no_jump_uses_them(
 def old_mission(**changes: Any) -> bytes:
     """A .mission of QGroundControl 3.0: its version is text, it has no file type, home is an item."""
     place = {"autoContinue": True, "command": 16, "frame": 0, "id": 0, "type": "missionItem"}
-    params = {f"param{n}": 0 for n in range(1, 5)}
+    place |= {f"param{n}": 0 for n in range(1, 5)}
     items = [
-        {**place, **params, "command": 22, "frame": 3, "id": 1, "coordinate": [47.1, 8.2, 20]},
-        {**place, **params, "frame": 3, "id": 2, "coordinate": [47.2, 8.3, 25]},
-        {**place, **params, "command": 177, "frame": 2, "id": 3, "param1": 1, "param2": 4, "coordinate": [0, 0, 0]},
+        {**place, "command": 22, "frame": 3, "id": 1, "coordinate": [47.1, 8.2, 20]},
+        {**place, "frame": 3, "id": 2, "coordinate": [47.2, 8.3, 25]},
+        {**place, "command": 177, "frame": 2, "id": 3, "param1": 1, "param2": 4, "coordinate": [0, 0, 0]},
     ]
     root = {
         "MAV_AUTOPILOT": 12,
         "complexItems": [],
         "groundStation": "QGroundControl",
         "items": items,
-        "plannedHomePosition": {**place, **params, "coordinate": [47.0, 8.0, 480]},
         "version": "1.0",
     }
-    return json.dumps({**root, **changes}).encode()
+    return json.dumps({**root, "plannedHomePosition": {**place, "coordinate": [47.0, 8.0, 480]}, **changes}).encode()
 
 
 @each("version", ["1.0", "1", 1, 1.0])
@@ -399,32 +374,24 @@ def test_comments_of_a_wpl_file_are_no_items() -> None:
     assert read_plan(wpl(*rows), "a.txt").plan == read_plan(wpl(*plain), "a.txt").plan
 
 
+def test_rally_points_are_read_from_both_formats_and_above_sea_level_have_no_place_in_a_plan() -> None:
+    imported = read_plan(plan_file(rallyPoints={"version": 2, "points": [[1.5, 2.5, 30]]}), "a.plan").plan
+    from_text = read_plan(wpl(HOME_ROW, "1 0 3 5100 0 0 0 0 1.5 2.5 30 1"), "a.txt").plan
+    assert imported.rally == from_text.rally and from_text.mission == ()
+    amsl = read_plan(wpl(HOME_ROW, "1 0 0 5100 0 0 0 0 1.5 2.5 230 1"), "a.txt").plan
+    with pytest.raises(PlanFileError, match="rally point 1 is in frame 0"):
+        write_plan(amsl, "a.plan")
+
+
 def test_a_wpl_file_holds_one_list() -> None:
     plan = public("px4-geofence_avoid.plan").plan
     with pytest.raises(PlanFileError, match="mission and fence, and a WPL file one of them: choose with --only"):
         write_plan(plan, "a.waypoints")
 
 
-def test_rally_points_are_read_from_both_formats() -> None:
-    imported = read_plan(plan_file(rallyPoints={"version": 2, "points": [[1.5, 2.5, 30]]}), "a.plan").plan
-    from_text = read_plan(wpl(HOME_ROW, "1 0 3 5100 0 0 0 0 1.5 2.5 30 1"), "a.txt").plan
-    assert imported.rally == from_text.rally
-    assert from_text.mission == ()
-
-
-def test_a_rally_point_above_sea_level_has_no_place_in_a_plan() -> None:
-    plan = read_plan(wpl(HOME_ROW, "1 0 0 5100 0 0 0 0 1.5 2.5 230 1"), "a.txt").plan
-    with pytest.raises(PlanFileError, match="rally point 1 is in frame 0"):
-        write_plan(plan, "a.plan")
-
-
 def test_the_name_says_the_format() -> None:
-    assert [format_of(name) for name in ("a.PLAN", "b.waypoints", "c.txt", "d.mission")] == [
-        "plan",
-        "wpl",
-        "wpl",
-        "wpl",
-    ]
+    formats = {"a.PLAN": "plan", "b.waypoints": "wpl", "c.txt": "wpl", "d.mission": "wpl"}
+    assert {name: format_of(name) for name in formats} == formats
     with pytest.raises(PlanFileError, match=r"a\.kml: must end in"):
         format_of("a.kml")
 

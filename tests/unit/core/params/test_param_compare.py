@@ -20,10 +20,8 @@ I32, F32 = ParamType.INT32, ParamType.REAL32
 @each(
     ("old", "new"),
     [
-        ("SYSID_THISMAV", "MAV_SYSID"),
-        ("SYSID_MYGCS", "MAV_GCS_SYSID"),
-        ("SR0_EXTRA1", "MAV1_EXTRA1"),
-        ("SR3_EXT_STAT", "MAV4_EXT_STAT"),
+        *(("SYSID_THISMAV", "MAV_SYSID"), ("SYSID_MYGCS", "MAV_GCS_SYSID")),
+        *(("SR0_EXTRA1", "MAV1_EXTRA1"), ("SR3_EXT_STAT", "MAV4_EXT_STAT")),
     ],
 )
 def test_both_generations_of_names_are_one(old: str, new: str) -> None:
@@ -31,43 +29,21 @@ def test_both_generations_of_names_are_one(old: str, new: str) -> None:
     assert diff([Entry(old, 1)], [Entry(new, 1.0)]) == []
     (found,) = diff([Entry(old, 1)], [Entry(new, 2)])
     assert (found.name, found.other, found.first, found.second) == (old, new, 1, 2)
-
-
-def test_px4s_instances_are_no_generations() -> None:
-    assert other_name("MAV_0_RATE") is None and other_name("MAV_SYS_ID") is None
+    assert other_name("MAV_0_RATE") is other_name("MAV_SYS_ID") is None, "PX4's instances are no generations"
 
 
 @each(
-    ("name", "sort"),
+    ("sort", "names"),
     [
-        ("COMPASS_OFS_X", "calibration"),
-        ("COMPASS_OFS2_Z", "calibration"),
-        ("COMPASS_DEV_ID", "calibration"),
-        ("INS_ACCOFFS_X", "calibration"),
-        ("INS_ACC2SCAL_Y", "calibration"),
-        ("INS_GYR_CAL", "settings"),
-        ("INS_GYR3OFFS_Z", "calibration"),
-        ("INS_GYRO_FILTER", "settings"),
-        ("INS_ACC_ID", "calibration"),
-        ("INS4_ACC_ID", "calibration"),
-        ("INS_HNTCH_FREQ", "settings"),
-        ("AHRS_TRIM_X", "calibration"),
-        ("CAL_ACC0_XOFF", "calibration"),
-        ("RC3_MIN", "calibration"),
-        ("RC_MAP_ROLL", "settings"),
-        ("STAT_RUNTIME", "statistics"),
-        ("BARO1_GND_PRESS", "statistics"),
-        ("GND_ABS_PRESS2", "statistics"),
-        ("SYS_NUM_RESETS", "statistics"),
-        ("CMD_TOTAL", "statistics"),
-        ("_HASH_CHECK", "statistics"),
-        ("MAV_SYS_ID", "identity"),
-        ("WPNAV_SPEED", "settings"),
-        ("COMPASS_USE", "settings"),
+        ("calibration", "COMPASS_OFS_X COMPASS_OFS2_Z COMPASS_DEV_ID INS_ACCOFFS_X INS_ACC2SCAL_Y INS_GYR3OFFS_Z"),
+        ("calibration", "INS_ACC_ID INS4_ACC_ID AHRS_TRIM_X CAL_ACC0_XOFF RC3_MIN"),
+        ("settings", "INS_GYR_CAL INS_GYRO_FILTER INS_HNTCH_FREQ RC_MAP_ROLL WPNAV_SPEED COMPASS_USE"),
+        ("statistics", "STAT_RUNTIME BARO1_GND_PRESS GND_ABS_PRESS2 SYS_NUM_RESETS CMD_TOTAL _HASH_CHECK"),
+        ("identity", "MAV_SYS_ID"),
     ],
 )
-def test_names_tell_what_belongs_to_one_vehicle(name: str, sort: str) -> None:
-    assert sort_of(name) == sort
+def test_names_tell_what_belongs_to_one_vehicle(sort: str, names: str) -> None:
+    assert {name: sort_of(name) for name in names.split()} == dict.fromkeys(names.split(), sort)
 
 
 def test_values_are_compared_as_vehicles_hold_them() -> None:

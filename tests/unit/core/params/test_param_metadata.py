@@ -74,9 +74,7 @@ def test_many_values_are_judged_in_one_pass_as_one_is() -> None:
         (ParamMetadata("A"), 1e30, False, False),
     ],
 )
-def test_what_is_outside_and_what_has_no_meaning(
-    known: ParamMetadata, value: float, outside: bool, strange: bool
-) -> None:
+def test_what_is_outside_and_what_has_no_meaning(known, value, outside, strange) -> None:
     assert (bool(known.outside(value)), bool(known.without_meaning(value))) == (outside, strange)
 
 
@@ -100,24 +98,17 @@ def test_of_several_versions_the_widest_range_holds() -> None:
 
 
 def test_the_files_of_both_projects_are_read() -> None:
-    px4 = {
-        "version": 1,
-        "parameters": [
-            {"name": "A", "type": "Float", "min": 0.5, "max": 2, "units": "m", "shortDesc": "words", "default": 1},
-            {"name": "B", "rebootRequired": True, "values": [{"value": 1, "description": "one"}]},
-            {"name": "C", "bitmask": [{"index": 3, "description": "third"}]},
-        ],
-    }
-    assert list(of_px4(px4)) == [
+    length = {"name": "A", "type": "Float", "min": 0.5, "max": 2, "units": "m", "shortDesc": "words", "default": 1}
+    choice = {"name": "B", "rebootRequired": True, "values": [{"value": 1, "description": "one"}]}
+    mask = {"name": "C", "bitmask": [{"index": 3, "description": "third"}]}
+    assert list(of_px4({"version": 1, "parameters": [length, choice, mask]})) == [
         ParamMetadata("A", "m", 0.5, 2, description="words"),
         ParamMetadata("B", reboot=True, values={1: "one"}),
         ParamMetadata("C", bits={3: "third"}),
     ]
-    ardupilot = {
-        "json": {"version": 0},
-        "A_": {"A_B": {"Range": {"low": "-1", "high": ".5"}, "Units": "m", "DisplayName": "words", "Description": "…"}},
-        "SIM_": {"SIM_X": {"DisplayName": "of the simulator"}},
-    }
+    given = {"Range": {"low": "-1", "high": ".5"}, "Units": "m", "DisplayName": "words", "Description": "…"}
+    simulated = {"SIM_X": {"DisplayName": "of the simulator"}}
+    ardupilot = {"json": {"version": 0}, "A_": {"A_B": given}, "SIM_": simulated}
     assert list(of_ardupilot(ardupilot)) == [ParamMetadata("A_B", "m", -1, 0.5, description="words")]
 
 

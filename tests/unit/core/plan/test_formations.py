@@ -15,9 +15,7 @@ NINETY = math.radians(90.0)
 
 
 @given(st.sampled_from(SHAPES), st.integers(2, 60), st.floats(0.5, 20), st.floats(-10, 10))
-def test_neighbours_are_a_spacing_apart_and_the_middle_is_where_it_is_put(
-    shape: str, count: int, spacing: float, yaw: float
-) -> None:
+def test_neighbours_are_a_spacing_apart_and_the_middle_is_where_it_is_put(shape, count, spacing, yaw) -> None:
     places = formation(shape, count, spacing, (10.0, -5.0, 7.0), yaw)
     assert len(places) == count
     assert min(math.dist(p, q) for p, q in combinations(places, 2)) == pytest.approx(spacing, rel=1e-9)
@@ -35,10 +33,8 @@ def test_the_shapes_look_along_the_heading() -> None:
 
 
 def test_points_are_moved_turned_and_scaled_about_their_middle() -> None:
-    points = [(0.0, 0.0, 1.0), (4.0, 0.0, 3.0)]
-    found = placed(points, (0.0, 0.0, 10.0), NINETY, 2.0)
-    assert found[0] == pytest.approx((0.0, -4.0, 8.0))
-    assert found[1] == pytest.approx((0.0, 4.0, 12.0))
+    first, second = placed([(0.0, 0.0, 1.0), (4.0, 0.0, 3.0)], (0.0, 0.0, 10.0), NINETY, 2.0)
+    assert (*first, *second) == pytest.approx((0.0, -4.0, 8.0, 0.0, 4.0, 12.0))
 
 
 @each(

@@ -27,13 +27,8 @@ from support.table import each
 
 LIMITS = MotionLimits()
 ORIGIN = Origin(47.4, 8.5, 400.0)
-SPACE = FlightSpace(
-    ((-50.0, -50.0), (50.0, -50.0), (0.0, 0.0), (50.0, 50.0)),
-    0.0,
-    40.0,
-    (((1.0, 2.0, 0.0), (3.0, 4.0, 5.0)),),
-    {"p": (9.0, 9.0, 0.0)},
-)
+CORNERS = ((-50.0, -50.0), (50.0, -50.0), (0.0, 0.0), (50.0, 50.0))
+SPACE = FlightSpace(CORNERS, 0.0, 40.0, (((1.0, 2.0, 0.0), (3.0, 4.0, 5.0)),), {"p": (9.0, 9.0, 0.0)})
 
 coefficient = st.floats(-50, 50).map(lambda c: round(c, 6))
 octuple = st.lists(coefficient, min_size=8, max_size=8).map(tuple)
@@ -97,13 +92,6 @@ def test_a_csv_that_cannot_be_flown_is_refused_with_its_line(text: str, words: s
     assert str(refused.value).startswith(f"f.csv: {words}")
 
 
-def test_a_yaw_is_read_in_degrees_counter_clockwise() -> None:
-    rows = "vehicle,t,x,y,z,yaw\nalpha,0,1,2,3,0\nalpha,2.5,4,2,3,90\n"
-    found = read_trajectory_csv("f.csv", rows.encode(), LIMITS)["alpha"]
-    assert found.at(2.5).pos_enu_m == pytest.approx((4.0, 2.0, 3.0))
-    assert found.at(2.5).yaw_rad == pytest.approx(math.pi / 2, abs=1e-6)
-
-
 # --- logs -------------------------------------------------------------------------------------------------------------
 
 
@@ -112,11 +100,8 @@ def log_rows(integers: bool) -> str:
     for i in range(4):
         lat, lon, amsl = geodetic_from_enu(10.0 * i, 5.0, 20.0, ORIGIN)
         alt = amsl - ORIGIN.alt_amsl_m
-        place = (
-            f"{round(lat * 1e7)},{round(lon * 1e7)},{round(alt * 1e3)}"
-            if integers
-            else f"{lat:.9f},{lon:.9f},{alt:.4f}"
-        )
+        scaled = f"{round(lat * 1e7)},{round(lon * 1e7)},{round(alt * 1e3)}"
+        place = scaled if integers else f"{lat:.9f},{lon:.9f},{alt:.4f}"
         lines.append(f"{1700000000 + 2 * i},GUIDED,{place},0,0,0,0,0,0")
     return "\n".join(lines) + "\n"
 
@@ -158,12 +143,8 @@ def test_crazyswarm_is_read_as_it_was_written(trajectory: Trajectory) -> None:
 
 
 def test_crazyswarm_with_a_trailing_comma_and_without_a_header() -> None:
-    numbers = ["1.05", *("0",) * 4, "0.830443", "-0.276140", "-0.384219", "0.180493", *("0",) * 24]
-    for text in (
-        ",".join(numbers) + ",\n",
-        f"# {HEADER}\n" + ",".join(numbers),
-        f"{HEADER},\n" + ",".join(numbers) + ",",
-    ):
+    row = ",".join(["1.05", *("0",) * 4, "0.830443", "-0.276140", "-0.384219", "0.180493", *("0",) * 24])
+    for text in (f"{row},\n", f"# {HEADER}\n{row}", f"{HEADER},\n{row},"):
         (piece,) = read_crazyswarm("figure8.csv", text.encode()).pieces
         assert (piece.duration_s, piece.east[4], piece.yaw) == (1.05, 0.830443, (0.0,) * 8)
 
@@ -432,29 +413,18 @@ READERS: dict[str, Callable[[bytes], object]] = {
     "crazyswarm": lambda data: read_crazyswarm("c.csv", data),
 }
 
-cells = st.one_of(
-    st.sampled_from(
-        ["", "0", "1", "-1", "nan", "inf", "1e308", "1e-320", "9" * 400, "a", '"', "#", "12:59:60", "\x00", "٣"]
-    ),
-    st.floats().map(str),
-)
+ODD = ["", "0", "1", "-1", "nan", "inf", "1e308", "1e-320", "9" * 400, "a", '"', "#", "12:59:60", "\x00", "٣"]
+HEADERS = ["vehicle,t,x,y,z,yaw", "vehicle,x,y,z", "time,lat,lon,alt", "time,vehicle,lat,lon,alt_amsl", HEADER, "", ","]
+cells = st.sampled_from(ODD) | st.floats().map(str)
 csv_texts = st.builds(
     lambda header, body: (header + "\n" + "\n".join(",".join(row) for row in body)).encode(),
-    st.sampled_from(
-        ["vehicle,t,x,y,z,yaw", "vehicle,x,y,z", "time,lat,lon,alt", "time,vehicle,lat,lon,alt_amsl", HEADER, "", ","]
-    ),
+    st.sampled_from(HEADERS),
     st.lists(st.lists(cells, max_size=34), max_size=6),
 )
 scalars = st.one_of(st.none(), st.booleans(), st.integers(-(10**20), 10**20), st.floats(), st.text(max_size=5))
+KEYS = st.sampled_from(["version", "points", "name", "goals", "fence", "standing", "a"])
 json_values = st.recursive(
-    scalars,
-    lambda inner: (
-        st.lists(inner, max_size=5)
-        | st.dictionaries(
-            st.sampled_from(["version", "points", "name", "goals", "fence", "standing", "a"]), inner, max_size=4
-        )
-    ),
-    max_leaves=12,
+    scalars, lambda inner: st.lists(inner, max_size=5) | st.dictionaries(KEYS, inner, max_size=4), max_leaves=12
 )
 
 
@@ -468,16 +438,11 @@ def test_only_our_error_leaves_a_reader(reader: str, data: bytes) -> None:
 @settings(max_examples=examples(150))
 @given(st.sampled_from(["version", "kind", "vehicles", "space", "starts", "phases"]), json_values, st.booleans())
 def test_only_our_error_leaves_the_reader_of_plans(key: str, value: object, phased: bool) -> None:
-    content = GOOD | (
-        {"kind": "phased", "starts": {"a": [0, 0, 0]}, "phases": [{"name": "x", "goals": {}}]} if phased else {}
-    )
-    for changed in (
-        content | {key: value},
-        content | {"vehicles": {"a": value}},
-        content | {"space": {"fence": value}},
-    ):
+    in_phases = {"kind": "phased", "starts": {"a": [0, 0, 0]}, "phases": [{"name": "x", "goals": {}}]}
+    content = GOOD | (in_phases if phased else {})
+    for change in ({key: value}, {"vehicles": {"a": value}}, {"space": {"fence": value}}):
         with contextlib.suppress(PlanFileError):
-            READERS["json"](json.dumps(changed).encode())
+            READERS["json"](json.dumps(content | change).encode())
 
 
 @settings(max_examples=examples(150))

@@ -126,19 +126,15 @@ def test_what_it_says_to_opening_is_told(error: int, result: str, words: str) ->
     assert opcodes(wire).count(Op.OPEN_FILE_RO) == (MAX_SESSIONS if result == "busy" else 1)
 
 
-def test_it_waits_for_another_ground_stations_session() -> None:
-    server = FtpServer(content(1000), session=7)
-    wire = FtpWire(server, Network())
-    wire.at(4.0, lambda: setattr(server, "session", None))
-    assert wire.run(download()).data == server.content
-
-
-def test_a_session_that_the_vehicle_lost_is_opened_again_under_another_number() -> None:
-    server = FtpServer(content(9000))
+@each(("size", "session", "at_s", "sessions"), [(1000, 7, 4.0, {255, 0}), (9000, None, 1.0, {255, 0})])
+def test_it_waits_for_another_ground_stations_session_and_opens_one_that_was_lost_again(
+    size: int, session: int | None, at_s: float, sessions: set[int]
+) -> None:
+    server = FtpServer(content(size), session=session)
     wire = FtpWire(server, Network(delay_s=(0.1, 0.1)))
-    wire.at(1.0, lambda: setattr(server, "session", None))
+    wire.at(at_s, lambda: setattr(server, "session", None))
     assert wire.run(download()).data == server.content
-    assert {p.session for _, p in wire.sent} == {255, 0}
+    assert session is not None or {p.session for _, p in wire.sent} == sessions
 
 
 def test_one_that_is_always_lost_is_given_up() -> None:
@@ -190,27 +186,22 @@ PACKETS = st.builds(
 @given(st.lists(PACKETS, max_size=60), st.booleans())
 def test_nothing_that_a_vehicle_sends_breaks_it(packets: list[Packet], burst: bool) -> None:
     exchange, now = download(burst=burst), 0.0
-    effects: tuple[Effect, ...] = exchange.start(now)
-    sent = len([e for e in effects if isinstance(e, Send)])
+    effects: list[Effect] = [*exchange.start(now)]
     for packet in packets:
         now += 0.05
         if exchange.deadline is not None and exchange.deadline <= now:
-            sent += len([e for e in exchange.on_timer(now) if isinstance(e, Send)])
-        sent += len([e for e in exchange.on_reply(packet, now) if isinstance(e, Send)])
+            effects += exchange.on_timer(now)
+        effects += exchange.on_reply(packet, now)
         assert exchange.done == (exchange.deadline is None)
-    assert sent == exchange.sent
+    assert sum(isinstance(effect, Send) for effect in effects) == exchange.sent
 
 
 @given(PACKETS)
 def test_a_packet_is_read_as_it_was_written(packet: Packet) -> None:
     read = decode((b"\0\1\1" + encode(packet)).rstrip(b"\0"))
-    assert read is not None and (read.seq, read.session, read.opcode, read.data, read.offset) == (
-        packet.seq,
-        packet.session,
-        packet.opcode,
-        packet.data,
-        packet.offset,
-    )
+    assert read is not None
+    for name in ("seq", "session", "opcode", "data", "offset"):
+        assert getattr(read, name) == getattr(packet, name), name
 
 
 @given(st.binary(max_size=255))

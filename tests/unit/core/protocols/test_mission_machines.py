@@ -109,7 +109,7 @@ class AnyPeer(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         """Left alone, every exchange ends."""
-        if hasattr(self, "protocol"):
+        if hasattr(self, "exchange"):
             for _ in range(LIMIT):
                 if self.exchange.deadline is not None:
                     self.now = max(self.now, self.exchange.deadline)

@@ -27,27 +27,33 @@ def vehicle(**more: Any) -> ParamVehicle:
     return ParamVehicle.of([Param("AAA", 1, ParamType.INT32), THR, ACT], **more)
 
 
-def test_reads_one() -> None:
-    outcome = Wire(vehicle(), Network()).run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE))
-    assert (outcome.ok, outcome.param, outcome.attempts) == (True, ACT, 1)
+def act(value: int) -> Param:
+    return Param("NAV_RCL_ACT", value, ParamType.INT32)
 
 
-def test_sets_one_and_reads_it_back() -> None:
+def exchange_of(value: float | None = None, name: str = "NAV_RCL_ACT", **more: Any) -> ParameterProtocol:
+    return ParameterProtocol(name, Encoding.BYTEWISE, value, **more)
+
+
+def started(value: float | None = None, name: str = "NAV_RCL_ACT", **more: Any) -> ParameterProtocol:
+    exchange = exchange_of(value, name, **more)
+    exchange.start(0.0)
+    return exchange
+
+
+def test_reads_one_and_sets_one_and_reads_it_back() -> None:
     v = vehicle()
-    outcome = Wire(v, Network()).run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0))
-    assert (outcome.ok, outcome.param, outcome.before, outcome.message) == (
-        True,
-        Param("NAV_RCL_ACT", 0, ParamType.INT32),
-        ACT,
-        "2 -> 0",
-    )
+    outcome = Wire(v, Network()).run(exchange_of())
+    assert (outcome.ok, outcome.param, outcome.attempts) == (True, ACT, 1)
+    outcome = Wire(v, Network()).run(exchange_of(0))
+    assert (outcome.ok, outcome.param, outcome.before, outcome.message) == (True, act(0), ACT, "2 -> 0")
     assert v.params["NAV_RCL_ACT"].value == 0
-
-
-def test_what_is_known_saves_the_question() -> None:
     wire = Wire(vehicle(), Network())
-    assert wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)).ok
-    assert [s.message for s in wire.sent] == ["PARAM_SET"]
+    assert wire.run(exchange_of(0, known=ACT)).ok
+    assert [s.message for s in wire.sent] == ["PARAM_SET"], "what is known saves the question"
+
+
+CLAMPS = {"limits": {"MPC_THR_HOVER": (0.1, 0.8)}}
 
 
 @each(
@@ -55,76 +61,55 @@ def test_what_is_known_saves_the_question() -> None:
     [
         ({}, "MPC_THR_HOVER", 0.3, "accepted", "0.5 -> 0.3"),  # as its nearest 32-bit float
         ({"read_only": {"NAV_RCL_ACT"}}, "NAV_RCL_ACT", 0, "denied", "denied: it keeps 2 instead of 0"),
-        (
-            *({"limits": {"MPC_THR_HOVER": (0.1, 0.8)}}, "MPC_THR_HOVER", 0.95),
-            *("changed", "it took 0.8 instead of 0.95 (it was 0.5)"),
-        ),
+        (CLAMPS, "MPC_THR_HOVER", 0.95, "changed", "it took 0.8 instead of 0.95 (it was 0.5)"),
     ],
 )
-def test_what_became_of_a_value_is_told(
-    more: dict[str, Any], name: str, value: float, result: str, message: str
-) -> None:
-    outcome = Wire(vehicle(**more), Network()).run(ParameterProtocol(name, Encoding.BYTEWISE, value))
+def test_what_became_of_a_value_is_told(more, name: str, value: float, result: str, message: str) -> None:
+    outcome = Wire(vehicle(**more), Network()).run(exchange_of(value, name))
     assert (outcome.ok, outcome.result, outcome.message) == (result == "accepted", result, message)
 
 
 @each(("value", "why"), [(1.5, "not whole"), (1 << 31, "not within")])
 def test_a_value_the_type_cannot_hold_is_refused_unsent(value: float, why: str) -> None:
     wire = Wire(vehicle(), Network())
-    outcome = wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, value))
+    outcome = wire.run(exchange_of(value))
     assert outcome.result == "refused" and why in outcome.message
     assert [s.message for s in wire.sent] == ["PARAM_REQUEST_READ"]
 
 
-def test_a_name_that_only_silence_answers_is_unknown() -> None:
-    outcome = Wire(vehicle(), Network()).run(ParameterProtocol("NO_SUCH", Encoding.BYTEWISE))
+def test_a_name_that_only_silence_answers_is_unknown_and_silence_all_around_is_a_timeout() -> None:
+    outcome = Wire(vehicle(), Network()).run(exchange_of(name="NO_SUCH"))
     assert (outcome.result, outcome.param) == ("unknown", None)
-
-
-def test_silence_all_around_is_no_unknown_name() -> None:
-    outcome = Wire(vehicle(), Network(loss=1.0)).run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE))
+    outcome = Wire(vehicle(), Network(loss=1.0)).run(exchange_of())
     assert outcome.result == "timeout" and outcome.elapsed_s == pytest.approx(7.0)
 
 
-def test_param_error_ends_it_at_once() -> None:
-    exchange = ParameterProtocol("NO_SUCH", Encoding.C_CAST, 1)
-    exchange.start(0.0)
+def test_what_the_vehicle_says_ends_it_at_once() -> None:
+    exchange = started(1, "NO_SUCH")
     exchange.on_error("OTHER", 1, 0.1)
     assert not exchange.done
     exchange.on_error("NO_SUCH", 1, 0.2)
     assert exchange.outcome is not None and exchange.outcome.result == "unknown"
-
-
-def test_the_autopilots_text_is_the_reason() -> None:
-    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.C_CAST, 1, known=ACT)
-    exchange.start(0.0)
-    exchange.on_text("Param write denied (NAV_RCL_ACT)", 0.1)
-    exchange.on_value(ParamValue(ACT, 3, None), 0.1)
-    assert exchange.outcome is not None and exchange.outcome.result == "denied"
-    assert exchange.outcome.message.endswith("Param write denied (NAV_RCL_ACT)")
-
-
-def test_px4_says_in_words_that_it_does_not_know_it() -> None:
-    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 1, known=ACT)
-    exchange.start(0.0)
-    exchange.on_text("[pm] unknown param: NAV_RCL_ACT", 0.1)
-    assert exchange.outcome is not None and exchange.outcome.result == "unknown"
+    unknown, denied = started(1, known=ACT), started(1, known=ACT)
+    unknown.on_text("[pm] unknown param: NAV_RCL_ACT", 0.1)
+    assert unknown.outcome is not None and unknown.outcome.result == "unknown"
+    denied.on_text("Param write denied (NAV_RCL_ACT)", 0.1)
+    denied.on_value(ParamValue(ACT, 3, None), 0.1)
+    assert denied.outcome is not None and denied.outcome.result == "denied"
+    assert denied.outcome.message.endswith("Param write denied (NAV_RCL_ACT)")
 
 
 def test_an_old_answer_is_not_taken_for_a_denial() -> None:
-    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0)
-    exchange.start(0.0)
-    exchange.on_value(ParamValue(ACT, 3, 2), 0.5)
-    exchange.on_value(ParamValue(ACT, 3, 2), 0.6)
-    exchange.on_value(ParamValue(ACT, 3, 2), 0.7)
+    exchange = started(0)
+    for now in (0.5, 0.6, 0.7):
+        exchange.on_value(ParamValue(ACT, 3, 2), now)
     assert not exchange.done
-    exchange.on_value(ParamValue(Param("NAV_RCL_ACT", 0, ParamType.INT32), 3, 2), 1.2)
+    exchange.on_value(ParamValue(act(0), 3, 2), 1.2)
     assert exchange.outcome is not None and exchange.outcome.ok
 
 
 def test_stopped_while_setting_it_says_that_it_may_be_set() -> None:
-    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)
-    exchange.start(0.0)
+    exchange = started(0, known=ACT)
     exchange.stop(0.1, "cancelled", "cancelled")
     assert exchange.outcome is not None and exchange.outcome.message == "cancelled; it may or may not be set"
     assert exchange.deadline is None and exchange.on_timer(9.0) == ()
@@ -208,7 +193,7 @@ class ParamMachine(RuleBasedStateMachine):
             assert not 0 <= self.value <= 3
 
     def teardown(self) -> None:
-        if not hasattr(self, "protocol"):
+        if not hasattr(self, "exchange"):
             return
         for _ in range(40):
             if not self.exchange.done:

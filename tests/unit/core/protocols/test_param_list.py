@@ -17,15 +17,28 @@ from skygcs.core.protocols.parameter import LATE_VALUE_S
 from skygcs.core.protocols.parameter_list import MAX_RESTARTS, MAX_TRIES, SILENCE_S, VALUE_BYTES, WINDOW, ParamList
 from support.examples import examples
 from support.param_vehicle import Network, ParamVehicle, Wire, big_set
+from support.table import each
 
 BAD = Network(loss=0.2, duplicate=0.2, delay_s=(0.0, 2.0))
 
 
+def started(**options: Any) -> ParamList:
+    exchange = ParamList(**options)
+    exchange.start(0.0)
+    return exchange
+
+
 def test_all_of_them_in_the_vehicles_order() -> None:
     params = big_set(50)
-    wire = Wire(ParamVehicle.of(params), Network())
-    outcome = wire.run(ParamList())
+    outcome = Wire(ParamVehicle.of(params), Network()).run(ParamList())
     assert (outcome.ok, outcome.params, outcome.sent) == (True, tuple(params), 50)
+
+
+def test_a_lost_burst_request_costs_nothing_but_time() -> None:
+    exchange = started(burst=True)
+    assert exchange.deadline is not None
+    (send,) = exchange.on_timer(exchange.deadline)
+    assert isinstance(send, Send) and send.values["param_index"] == 0
 
 
 @settings(max_examples=examples(40), deadline=None)
@@ -49,14 +62,6 @@ def test_a_burst_is_one_request_and_gaps_are_filled() -> None:
     assert min(sent) < 40, "of four requests of a burst one comes, in all but one of 160,000 runs"
 
 
-def test_a_lost_burst_request_costs_nothing_but_time() -> None:
-    exchange = ParamList(burst=True)
-    exchange.start(0.0)
-    assert exchange.deadline is not None
-    (send,) = exchange.on_timer(exchange.deadline)
-    assert isinstance(send, Send) and send.values["param_index"] == 0
-
-
 def test_no_more_under_way_than_the_window_and_no_faster_than_told() -> None:
     exchange, now, times = ParamList(bytes_per_s=1000.0), 0.0, []
     times += [now for _ in exchange.start(now)]
@@ -70,8 +75,7 @@ def test_no_more_under_way_than_the_window_and_no_faster_than_told() -> None:
 
 
 def test_progress_tells_the_rest() -> None:
-    exchange = ParamList()
-    exchange.start(0.0)
+    exchange = started()
     assert exchange.progress(0.0).count is None
     for i in range(10):
         exchange.on_value(ParamValue(Param(f"P{i}", i), 40, i), 1.0 + i * 0.1)
@@ -96,14 +100,13 @@ def test_an_index_it_never_answers_is_named() -> None:
 
 def test_values_without_an_index_do_not_count_but_are_newer() -> None:
     params = big_set(3)
-    exchange = ParamList()
-    exchange.start(0.0)
-    for i, param in enumerate(params[:2]):
-        exchange.on_value(ParamValue(param, 3, i), 0.1)
     newer = replace(params[0], value=9.5)
-    exchange.on_value(ParamValue(newer, 3, None), 0.2)
-    exchange.on_value(ParamValue(Param(HASH_NAME, 1, ParamType.UINT32), 3, None), 0.2)
-    exchange.on_value(ParamValue(params[2], 3, 2), 0.3)
+    exchange = started()
+    for param, index in (
+        *((params[0], 0), (params[1], 1), (newer, None)),
+        *((Param(HASH_NAME, 1, ParamType.UINT32), None), (params[2], 2)),
+    ):
+        exchange.on_value(ParamValue(param, 3, index), 0.1)
     assert exchange.outcome is not None and exchange.outcome.params == (newer, *params[1:])
 
 
@@ -138,31 +141,29 @@ def test_a_list_that_always_changes_is_given_up() -> None:
 
 
 def test_a_count_out_of_all_reason_is_ignored() -> None:
-    exchange = ParamList()
-    exchange.start(0.0)
+    exchange = started()
     for count in (0, 60_000):
         exchange.on_value(ParamValue(Param("X", 1), count, 0), 0.1)
     assert exchange.count is None and not exchange.done
 
 
-def _stopped(**options: Any) -> tuple[list[str], Any]:
-    exchange = ParamList(**options)
-    exchange.start(0.0)
+@each(
+    ("options", "messages", "said"),
+    [
+        ({}, [], ""),
+        ({"burst": True, "stops_burst": True}, ["PARAM_SET"], ""),  # PX4
+        ({"burst": True}, [], "goes on sending"),  # ArduPilot
+    ],
+)
+def test_stopping_keeps_what_came_and_ends_a_burst_or_says_that_it_goes_on(options, messages, said: str) -> None:
+    exchange = started(**options)
     exchange.on_value(ParamValue(Param("X", 1), 5, 0), 0.1)
     effects = exchange.stop(0.2, "cancelled", "cancelled")
     assert exchange.on_timer(99.0) == () == exchange.on_value(ParamValue(Param("Y", 1), 5, 1), 0.3)
-    return [e.message for e in effects if isinstance(e, Send)], exchange.outcome
-
-
-def test_stopping_keeps_what_came() -> None:
-    sends, outcome = _stopped()
-    assert (sends, outcome.result, len(outcome.params)) == ([], "cancelled", 1)
-
-
-def test_stopping_px4s_burst_tells_it_and_ardupilots_is_told() -> None:
-    assert _stopped(burst=True, stops_burst=True)[0] == ["PARAM_SET"]
-    sends, outcome = _stopped(burst=True)
-    assert sends == [] and "goes on sending" in outcome.message
+    assert [e.message for e in effects if isinstance(e, Send)] == messages
+    outcome = exchange.outcome
+    assert outcome is not None and (outcome.result, len(outcome.params)) == ("cancelled", 1)
+    assert said in outcome.message
 
 
 class ListMachine(RuleBasedStateMachine):
@@ -230,7 +231,7 @@ class ListMachine(RuleBasedStateMachine):
             assert len(set(names)) == len(names) == exchange.outcome.count
 
     def teardown(self) -> None:
-        if not hasattr(self, "protocol"):
+        if not hasattr(self, "exchange"):
             return
         for _ in range(2000):
             while self.up:

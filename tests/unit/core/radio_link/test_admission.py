@@ -49,16 +49,9 @@ class Radio:
             self.put(raw, decision)
         return decision
 
-    def put(self, raw: bytes, decision: AdmissionDecision) -> None:
-        self.queue.offer(
-            raw,
-            decision.priority,
-            self.now,
-            decision.key,
-            size=len(raw),
-            flow=decision.flow,
-            answer_bytes=decision.answer_bytes,
-        )
+    def put(self, raw: bytes, found: AdmissionDecision) -> None:
+        costs = {"size": len(raw), "flow": found.flow, "answer_bytes": found.answer_bytes}
+        self.queue.offer(raw, found.priority, self.now, found.key, **costs)
 
     def poll(self) -> list[bytes]:
         released = self.traffic.poll(self.now)
@@ -69,10 +62,7 @@ class Radio:
 
     def sent(self) -> list[tuple[bytes, Priority]]:
         """Everything that the queue gives now."""
-        popped = []
-        while (entry := self.queue.pop(self.now)) is not None:
-            popped.append(entry)
-        return popped
+        return list(iter(lambda: self.queue.pop(self.now), None))
 
     def counts(self, source: int = QGC) -> dict[str, Any]:
         name = f"{source >> 8}/{source & 0xFF}"
@@ -93,13 +83,15 @@ FORCED_DISARM = {"command": 400, "param2": 21196.0}
 @each("version", [1, 2])
 def test_an_operators_order_goes_as_an_order_and_a_request_behind_it(version: int) -> None:
     radio = Radio()
-    assert radio.offer("COMMAND_LONG", version=version, **command()).priority is Priority.COMMAND
-    assert radio.offer("COMMAND_INT", target_system=4, command=192).priority is Priority.COMMAND
-    assert radio.offer("SET_MODE", target_system=5, custom_mode=4).priority is Priority.COMMAND
-    for asked in (512, 519, 520):
-        assert radio.offer("COMMAND_LONG", **command(command=asked)).priority is Priority.FORWARDED
-    storage_format = radio.offer("COMMAND_LONG", **command(target=6, command=526))
-    assert storage_format.priority is Priority.COMMAND, "STORAGE_FORMAT erases a card: it is not a request"
+    for name, values, priority in (
+        ("COMMAND_LONG", command(), Priority.COMMAND),
+        ("COMMAND_INT", {"target_system": 4, "command": 192}, Priority.COMMAND),
+        ("SET_MODE", {"target_system": 5, "custom_mode": 4}, Priority.COMMAND),
+        *(("COMMAND_LONG", command(command=asked), Priority.FORWARDED) for asked in (512, 519, 520)),
+        ("COMMAND_LONG", command(target=6, command=526), Priority.COMMAND),  # STORAGE_FORMAT erases a card
+    ):
+        sent_as = version if name == "COMMAND_LONG" and values == command() else 2
+        assert radio.offer(name, version=sent_as, **values).priority is priority, (name, values)
 
 
 @pytest.fixture
@@ -129,12 +121,10 @@ def test_a_repeated_order_takes_its_own_place_and_off_between_two_ons_is_kept(ra
         radio.offer("COMMAND_LONG", **command(target=4, command=400, param1=param1))
     on_off_on = [parsed(raw).payload[:4].rstrip(b"\0") for raw, _ in radio.sent()][1:]
     assert on_off_on == [b"\0\0\x80?", b"", b"\0\0\x80?"]
-
-
-def test_the_same_of_parameters_that_are_set(radio: Radio) -> None:
+    parameters = Radio()
     for value in (1.0, 2.0, 1.0, 1.0):
-        radio.offer("PARAM_SET", target_system=3, param_id=b"X", param_value=value)
-    assert [raw[10:14] for raw, _ in radio.sent()] == [b"\0\0\x80?", b"\0\0\0@", b"\0\0\x80?"]
+        parameters.offer("PARAM_SET", target_system=3, param_id=b"X", param_value=value)
+    assert [raw[10:14] for raw, _ in parameters.sent()] == [b"\0\0\x80?", b"\0\0\0@", b"\0\0\x80?"]
 
 
 @each("name", ["COMMAND_LONG", "COMMAND_INT"])

@@ -59,9 +59,7 @@ RULES = st.builds(
 
 
 @given(st.lists(FRAMES, max_size=60), RULES, VALUES)
-def test_no_bytes_are_wrong_enough_to_raise(
-    frames: list[Frame], rules: ThirdPartyRules, values: list[tuple[int, int, int, int]]
-) -> None:
+def test_no_bytes_are_wrong_enough_to_raise(frames, rules, values) -> None:
     traffic = ThirdPartyTraffic(rules, 500.0, 0.0)
     queue: TxQueue[bytes] = TxQueue()
     for number, frame in enumerate(frames):
@@ -75,9 +73,7 @@ def test_no_bytes_are_wrong_enough_to_raise(
 
 
 @given(OFFERS, RULES)
-def test_emergencies_always_pass_and_nothing_else_goes_as_one(
-    offers: list[tuple[float, Frame]], rules: ThirdPartyRules
-) -> None:
+def test_emergencies_always_pass_and_nothing_else_goes_as_one(offers, rules) -> None:
     traffic = ThirdPartyTraffic(rules, 500.0, 0.0)
     queue: TxQueue[bytes] = TxQueue()
     now = 0.0
@@ -113,9 +109,7 @@ def test_no_source_sends_more_of_a_message_than_its_rate(offers: list[tuple[floa
 
 @given(OFFERS, st.floats(20, 2000))
 @settings(max_examples=examples(50))
-def test_all_third_party_traffic_with_its_answers_keeps_to_its_share(
-    offers: list[tuple[float, Frame]], rate: float
-) -> None:
+def test_all_third_party_traffic_with_its_answers_keeps_to_its_share(offers, rate) -> None:
     """But for orders and emergencies, which may be ahead of it by their bursts."""
     traffic = ThirdPartyTraffic(ThirdPartyRules(streams="allow", logs="allow"), rate, 0.0)
     queue: TxQueue[tuple[int, int]] = TxQueue()

@@ -35,9 +35,7 @@ def demand(vehicles: int, profile: str = "nav", **changes: object) -> LinkDemand
     ("profile", "bytes_per_s", "vehicles"),
     [("monitor", 120.5, 23), ("nav", 200.5, 14), ("control", 245, 11), ("control-10", 445, 6), ("full", 845, 3)],
 )
-def test_half_of_57600_baud_carries_what_the_published_table_says(
-    profile: str, bytes_per_s: float, vehicles: int
-) -> None:
+def test_half_of_57600_baud_carries_what_the_published_table_says(profile, bytes_per_s, vehicles) -> None:
     assert profile_bytes_per_s(PROFILES[profile]) == pytest.approx(bytes_per_s, abs=0.25)
     assert plan_link(demand(1, profile, air_kbps=None)).most_vehicles == vehicles
 
@@ -138,9 +136,7 @@ def test_where_no_single_change_is_enough_one_is_proposed_beside_goto() -> None:
     st.sampled_from([9600, 57600]),
     st.sampled_from(sorted(SETPOINTS)),
 )
-def test_fewer_vehicles_are_proposed_only_where_they_fit(
-    vehicles: int, profile: str, air: float | None, baud: int, setpoint: str
-) -> None:
+def test_fewer_vehicles_are_proposed_only_where_they_fit(vehicles, profile, air, baud, setpoint) -> None:
     wish = demand(vehicles, profile, air_kbps=air, baud=baud, setpoint=setpoint, setpoint_hz=2.0)
     plan = plan_link(wish)
     reported = [text for text in plan.proposals if "instead of" in text and text[0].isdigit()]
@@ -158,9 +154,7 @@ def test_fewer_vehicles_are_proposed_only_where_they_fit(
     st.sampled_from(sorted(SETPOINTS)),
     st.floats(0.1, 50),
 )
-def test_what_each_vehicle_gets_fits_but_for_heartbeats(
-    vehicles: int, profile: str, air: float | None, baud: int, setpoint: str, hz: float
-) -> None:
+def test_what_each_vehicle_gets_fits_but_for_heartbeats(vehicles, profile, air, baud, setpoint, hz) -> None:
     wanted = demand(vehicles, profile, air_kbps=air, baud=baud, setpoint=setpoint, setpoint_hz=hz)
     plan = plan_link(wanted)
     assert plan.fits == (vehicles <= plan.most_vehicles)

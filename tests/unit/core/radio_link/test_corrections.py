@@ -85,14 +85,18 @@ def test_a_message_goes_whole_when_all_of_it_has_come(body_bytes: int, fragments
     assert status["bytes"] == len(message) + fragments * OVERHEAD
 
 
+def offer_stream(corrections: Corrections, stream: bytes, piece: int) -> None:
+    """Cut anywhere, in fragments that are none of one message."""
+    for at in range(0, len(stream), piece):
+        data = stream[at : at + piece]
+        assert corrections.offer(BASE, bytes([0, len(data)]) + data, 0.0)
+
+
 @each("piece", [1, 50, 100, 180])
 def test_however_the_sender_cut_its_stream_whole_messages_go(piece: int) -> None:
     corrections, receiver = Corrections(PLENTY, 0.0), Receiver()
     sent = [rtcm_frame(1005), rtcm_frame(1077, epoch=1, body_bytes=600), rtcm_frame(1087, epoch=1)]
-    stream = b"".join(sent)
-    for at in range(0, len(stream), piece):
-        data = stream[at : at + piece]
-        assert corrections.offer(BASE, bytes([0, len(data)]) + data, 0.0)
+    offer_stream(corrections, b"".join(sent), piece)
     assert receiver.drain(corrections, 0.0) == sent
 
 
@@ -119,26 +123,19 @@ def test_a_message_that_lost_a_fragment_is_left_out_and_costs_none_that_follow()
     assert corrections.status()["skipped_bytes"] > 500
 
 
-@each("payload", [b"\x08\xb5" + b"x" * 180, b"\x08\xff" + b"x" * 180])
-def test_what_cannot_be_a_fragment_is_refused(payload: bytes) -> None:
+@each(("payload", "malformed"), [(b"\x08\xb5" + b"x" * 180, 1), (b"\x08\xff" + b"x" * 180, 1), (b"", 0), (b"\x08", 0)])
+def test_what_cannot_be_a_fragment_is_refused_and_what_holds_no_message_brings_nothing(payload, malformed) -> None:
     corrections = Corrections(PLENTY, 0.0)
-    assert not corrections.offer(BASE, payload, 0.0)
-    assert corrections.status()["malformed"] == 1
-
-
-@each("payload", [b"", b"\x08", b"\x01\x00", b"\x00\x05noise"])
-def test_what_holds_no_message_brings_nothing(payload: bytes) -> None:
-    corrections = Corrections(PLENTY, 0.0)
-    corrections.offer(BASE, payload, 0.0)
+    assert not malformed or not corrections.offer(BASE, payload, 0.0)
+    for noise in (b"\x01\x00", b"\x00\x05noise", *([] if malformed else [payload])):
+        corrections.offer(BASE, noise, 0.0)
     assert corrections.next_send_time(0.0) is None
+    assert malformed == 0 or corrections.status()["malformed"] == 1
 
 
 def test_a_message_that_fits_into_no_four_fragments_is_left_out_and_counted() -> None:
     corrections = Corrections(PLENTY, 0.0)
-    stream = rtcm_frame(1077, body_bytes=715)
-    for at in range(0, len(stream), 180):
-        data = stream[at : at + 180]
-        corrections.offer(BASE, bytes([0, len(data)]) + data, 0.0)
+    offer_stream(corrections, rtcm_frame(1077, body_bytes=715), 180)
     assert corrections.next_send_time(0.0) is None
     assert corrections.status()["too_long"] == 1
 
@@ -153,14 +150,9 @@ def test_a_newer_message_takes_the_place_of_one_of_its_kind() -> None:
 
 def test_parts_of_one_epoch_other_stations_and_other_satellites_are_no_newer_ones() -> None:
     corrections, receiver = Corrections(PLENTY, 0.0), Receiver()
-    messages = [
-        rtcm_frame(1077, epoch=1, fill=1),
-        rtcm_frame(1077, epoch=1, fill=2),
-        rtcm_frame(1019, station=4 << 6),
-        rtcm_frame(1019, station=5 << 6),
-        rtcm_frame(4072, station=0),
-        rtcm_frame(4072, station=1),
-    ]
+    messages = [rtcm_frame(1077, epoch=1, fill=fill) for fill in (1, 2)]
+    messages += [rtcm_frame(1019, station=station << 6) for station in (4, 5)]
+    messages += [rtcm_frame(4072, station=station) for station in (0, 1)]
     for message in messages:
         offer(corrections, message)
     assert receiver.drain(corrections, 0.0) == messages
@@ -260,9 +252,7 @@ EVENT = st.tuples(
 
 
 @given(st.lists(EVENT, max_size=60), st.floats(min_value=50.0, max_value=5000.0))
-def test_what_goes_is_whole_new_within_the_budget_and_bounded(
-    events: list[tuple[int, int, int, float, bool]], bytes_per_s: float
-) -> None:
+def test_what_goes_is_whole_new_within_the_budget_and_bounded(events, bytes_per_s) -> None:
     corrections, receiver = Corrections(bytes_per_s, 0.0), Receiver()
     now, offered = 0.0, set()
     for number, (type_, body_bytes, station, pause_s, lost) in enumerate(events):

@@ -64,9 +64,7 @@ def read_by_pyrtcm(stream: bytes) -> list[bytes]:
 
 
 @given(MESSAGES, st.lists(st.binary(max_size=40), max_size=8), st.integers(0, 7), st.integers(1, 500))
-def test_the_frames_are_those_that_pyrtcm_finds(
-    messages: list[bytes], noise: list[bytes], damaged: int, cut: int
-) -> None:
+def test_the_frames_are_those_that_pyrtcm_finds(messages, noise, damaged, cut) -> None:
     """Between noise without preambles, behind which pyrtcm loses what follows a false start."""
     messages = [m for m in messages if len(m) > 6]  # pyrtcm passes over the empty ones, which are fillers
     noise = [n.translate(bytes.maketrans(b"\xd3$\xb5", b"\xd2%\xb6")) for n in noise]

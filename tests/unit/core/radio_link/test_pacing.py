@@ -67,9 +67,7 @@ def saturated(capacity: float, buffer_bytes: int, every_s: float, seconds: float
 
 @given(st.floats(150, 2800), st.integers(1000, 3000), st.floats(0.05, 0.9))
 @settings(max_examples=examples(15), deadline=None)
-def test_a_saturated_radio_is_filled_without_loss_and_without_swing(
-    capacity: float, buffer_bytes: int, every_s: float
-) -> None:
+def test_a_saturated_radio_is_filled_without_loss_and_without_swing(capacity, buffer_bytes, every_s) -> None:
     every_s = min(every_s, 0.35 * buffer_bytes / capacity)  # a slot's worth must leave room in the buffer
     radio, _ = saturated(capacity, buffer_bytes, every_s)
     late = radio.rates[-40:]

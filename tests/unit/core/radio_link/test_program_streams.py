@@ -16,6 +16,7 @@ from skygcs.core.radio_link.program_streams import (
     StreamRequest,
     restoring,
 )
+from support.table import each
 
 MAVPROXY, QGC = (1, 0xFFE6), (2, 0xFFBE)
 POSITION, RAW = Stream(6, None), Stream(1, None)
@@ -28,29 +29,29 @@ def left(requests: ProgramStreams, *connected: tuple[int, int]) -> dict[int, set
     return {vehicle: {leftover.stream for leftover in leftovers} for vehicle, leftovers in found.items()}
 
 
+def requested(*requests: tuple[int, tuple[int, int], Stream, dict[str, float]]) -> ProgramStreams:
+    """Each: vehicle, program, stream, and what came before it."""
+    made = ProgramStreams()
+    for vehicle, program, stream, before_hz in requests:
+        made.on_request(vehicle, program, stream, lambda before_hz=before_hz: before_hz)
+    return made
+
+
 def test_a_stream_is_left_behind_when_the_last_that_asked_is_gone() -> None:
-    requests = ProgramStreams()
-    requests.on_request(1, MAVPROXY, POSITION, lambda: {"ATTITUDE": 1.0})
-    requests.on_request(1, QGC, POSITION, lambda: {"ATTITUDE": 4.0})
-    requests.on_request(1, MAVPROXY, RAW, lambda: {"ATTITUDE": 4.0})
-    requests.on_request(2, QGC, ATTITUDE, lambda: {})
+    one, four = {"ATTITUDE": 1.0}, {"ATTITUDE": 4.0}
+    both = (1, MAVPROXY, POSITION, one), (1, QGC, POSITION, four)
+    requests = requested(*both, (1, MAVPROXY, RAW, four), (2, QGC, ATTITUDE, {}))
     assert left(requests, MAVPROXY, QGC) == {}
     assert left(requests, QGC) == {1: {RAW}}
     (leftover,) = requests.left_behind(lambda program: False)[1]
-    assert leftover == Leftover(POSITION, {"ATTITUDE": 1.0})  # as before the first of them
+    assert leftover == Leftover(POSITION, one)  # as before the first of them
     assert left(requests) == {}
 
 
-def test_all_streams_are_each_of_the_groups() -> None:
-    requests = ProgramStreams()
-    requests.on_request(1, MAVPROXY, Stream(ALL_GROUPS, None), lambda: {})
-    requests.on_request(1, QGC, POSITION, lambda: {})
+def test_all_streams_are_each_of_the_groups_and_a_rebooted_vehicle_knows_of_no_request() -> None:
+    requests = requested((1, MAVPROXY, Stream(ALL_GROUPS, None), {}), (1, QGC, POSITION, {}))
     assert left(requests, QGC) == {1: {Stream(group, None) for group in ARDUPILOT_GROUPS} - {POSITION}}
-
-
-def test_a_rebooted_vehicle_knows_of_no_request() -> None:
-    requests = ProgramStreams()
-    requests.on_request(1, MAVPROXY, POSITION, lambda: {})
+    requests = requested((1, MAVPROXY, POSITION, {}))
     requests.forget(1)
     assert left(requests) == {}
 
@@ -65,56 +66,46 @@ def test_a_flood_of_requests_is_bounded_and_counted() -> None:
     assert requests.not_counted == 100 - MOST_ITEMS + 100 - MOST_PROGRAMS
 
 
-def test_a_group_that_did_not_stream_is_stopped_and_our_own_messages_are_asked_for_again() -> None:
-    leftover = Leftover(POSITION, {"GLOBAL_POSITION_INT": 2.0})
-    now = {"GLOBAL_POSITION_INT": 4.0, "LOCAL_POSITION_NED": 4.0}
-    assert restoring(leftover, now, WANTED) == [
-        StreamRequest(POSITION, 0.0),
-        StreamRequest(Stream(None, "GLOBAL_POSITION_INT"), 2.0),
-    ]
-    assert restoring(leftover, {"GLOBAL_POSITION_INT": 1.9}, WANTED) == []
+def asked(stream: Stream | str, rate_hz: float | None) -> StreamRequest:
+    return StreamRequest(Stream(None, stream) if isinstance(stream, str) else stream, rate_hz)
 
 
-def test_a_group_that_streamed_gets_its_rate_back_also_if_a_program_stopped_it() -> None:
-    leftover = Leftover(POSITION, {"GLOBAL_POSITION_INT": 4.8, "LOCAL_POSITION_NED": 4.9})
-    assert restoring(leftover, {}, WANTED) == [StreamRequest(POSITION, 5.0)]
-    assert restoring(leftover, {"GLOBAL_POSITION_INT": 10.0, "LOCAL_POSITION_NED": 10.0}, WANTED) == [
-        StreamRequest(POSITION, 5.0)
-    ]
-    assert restoring(leftover, {"GLOBAL_POSITION_INT": 5.1, "LOCAL_POSITION_NED": 5.0}, WANTED) == []
+PLACE, NED = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"
+RAW_NOW = dict.fromkeys(("RAW_IMU", "SCALED_IMU2", "SCALED_PRESSURE"), 4.0)
 
 
-def test_one_message_of_many_was_asked_for_by_itself() -> None:
-    leftover = Leftover(RAW, {"RAW_IMU": 10.0})
-    now = dict.fromkeys(("RAW_IMU", "SCALED_IMU2", "SCALED_PRESSURE"), 4.0)
-    assert restoring(leftover, now, WANTED) == [StreamRequest(RAW, 0.0), StreamRequest(Stream(None, "RAW_IMU"), 10.0)]
-
-
-def test_a_message_goes_back_to_the_vehicles_default_or_to_what_we_ask_for() -> None:
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {"ATTITUDE": 50.0}, WANTED) == [
-        StreamRequest(ATTITUDE, None)
-    ]
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 1.0}), {"ATTITUDE": 50.0}, WANTED) == [
-        StreamRequest(ATTITUDE, 1.0)
-    ]
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {}, {}) == [StreamRequest(ATTITUDE, None)]
-    assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {"ATTITUDE": 19.0}, WANTED) == []
-
-
-RATES = st.dictionaries(
-    st.sampled_from(sorted({n for names in ARDUPILOT_GROUPS.values() for n in names})), st.floats(0, 100)
+@each(
+    ("stream", "before_hz", "now_hz", "wanted", "requests"),
+    [
+        # a group that did not stream is stopped, and our own messages are asked for again
+        (POSITION, {PLACE: 2.0}, {PLACE: 4.0, NED: 4.0}, WANTED, [asked(POSITION, 0.0), asked(PLACE, 2.0)]),
+        (POSITION, {PLACE: 2.0}, {PLACE: 1.9}, WANTED, []),
+        # a group that streamed gets its rate back, also if a program stopped it
+        (POSITION, {PLACE: 4.8, NED: 4.9}, {}, WANTED, [asked(POSITION, 5.0)]),
+        (POSITION, {PLACE: 4.8, NED: 4.9}, {PLACE: 10.0, NED: 10.0}, WANTED, [asked(POSITION, 5.0)]),
+        (POSITION, {PLACE: 4.8, NED: 4.9}, {PLACE: 5.1, NED: 5.0}, WANTED, []),
+        # one message of many was asked for by itself
+        (RAW, {"RAW_IMU": 10.0}, RAW_NOW, WANTED, [asked(RAW, 0.0), asked("RAW_IMU", 10.0)]),
+        # a message goes back to the vehicle's default, or to what we ask for
+        (ATTITUDE, {"ATTITUDE": 20.0}, {"ATTITUDE": 50.0}, WANTED, [asked(ATTITUDE, None)]),
+        (ATTITUDE, {"ATTITUDE": 1.0}, {"ATTITUDE": 50.0}, WANTED, [asked(ATTITUDE, 1.0)]),
+        (ATTITUDE, {"ATTITUDE": 20.0}, {}, {}, [asked(ATTITUDE, None)]),
+        (ATTITUDE, {"ATTITUDE": 20.0}, {"ATTITUDE": 19.0}, WANTED, []),
+    ],
 )
+def test_streams_are_put_back_as_they_were(stream, before_hz, now_hz, wanted, requests) -> None:
+    assert restoring(Leftover(stream, before_hz), now_hz, wanted) == requests
+
+
+NAMES = sorted({n for names in ARDUPILOT_GROUPS.values() for n in names})
+RATES = st.dictionaries(st.sampled_from(NAMES), st.floats(0, 100))
 
 
 @given(st.sampled_from(sorted(ARDUPILOT_GROUPS)), RATES, RATES)
-def test_what_is_as_before_is_left_alone_and_nothing_of_ours_is_turned_off(
-    group: int, before_hz: dict[str, float], now_hz: dict[str, float]
-) -> None:
+def test_what_is_as_before_is_left_alone_and_nothing_of_ours_is_turned_off(group, before_hz, now_hz) -> None:
     leftover = Leftover(Stream(group, None), before_hz)
     assert restoring(leftover, before_hz, WANTED) == []
     requests = restoring(leftover, now_hz, WANTED)
     if requests and requests[0].rate_hz == 0.0:
-        asked = {request.stream.message for request in requests[1:]}
-        assert {
-            name for name in ARDUPILOT_GROUPS[group] if name in WANTED and before_hz.get(name, 0.0) <= WANTED[name]
-        } <= asked
+        ours = [name for name in ARDUPILOT_GROUPS[group] if before_hz.get(name, 0.0) <= WANTED.get(name, -1.0)]
+        assert set(ours) <= {request.stream.message for request in requests[1:]}

@@ -80,9 +80,7 @@ RATES = st.dictionaries(st.sampled_from(sorted(set(SIZES) - {"HEARTBEAT"})), st.
     st.floats(0, 3000),
 )
 @settings(max_examples=examples(60), deadline=None)
-def test_no_plan_is_above_what_is_wanted_or_what_there_is(
-    wanted: list[tuple[dict[str, float], float]], room: float, each: float
-) -> None:
+def test_no_plan_is_above_what_is_wanted_or_what_there_is(wanted, room, each) -> None:
     demands = {n: RateDemand(rates, weight) for n, (rates, weight) in enumerate(wanted)}
     plans = fit(demands, room, each, SIZES)
     assert plans.keys() == demands.keys()

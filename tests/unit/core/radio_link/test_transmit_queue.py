@@ -12,39 +12,19 @@ from skygcs.core.radio_link.transmit_queue import BOUND, DROPS_OLDEST, Priority,
 from support.table import each
 
 
-def drained(queue: TxQueue[object]) -> list[tuple[object, Priority]]:
-    out = []
-    while (entry := queue.pop(0.0)) is not None:
-        out.append(entry)
-    return out
-
-
-def test_a_newer_setpoint_takes_the_turn_of_the_waiting_one() -> None:
-    queue: TxQueue[object] = TxQueue()
-    queue.offer("a1", Priority.SETPOINT, 0.0, "a")
-    queue.offer("b1", Priority.SETPOINT, 0.0, "b")
-    queue.offer("a2", Priority.SETPOINT, 0.0, "a")
-    assert len(queue) == 2
-    assert [entry for entry, _ in drained(queue)] == ["a2", "b1"]
-    assert queue.counters[Priority.SETPOINT].replaced == 1
+def drained(queue: TxQueue[object]) -> list[object]:
+    return [entry for entry, _ in iter(lambda: queue.pop(0.0), None)]
 
 
 @each("priority", list(Priority))
 def test_a_full_class_drops_its_oldest_or_refuses_and_counts_it(priority: Priority) -> None:
     queue: TxQueue[object] = TxQueue()
-    bound = BOUND[priority]
+    bound, drops = BOUND[priority], priority in DROPS_OLDEST
     taken = [queue.offer(n, priority, 0.0) for n in range(bound + 3)]
+    assert taken == [True] * bound + [drops] * 3
+    assert drained(queue) == list(range(3 * drops, bound + 3 * drops))
     counters = queue.counters[priority]
-    entries = [entry for entry, _ in drained(queue)]
-    if priority in DROPS_OLDEST:
-        assert all(taken)
-        assert entries == list(range(3, bound + 3))
-        assert (counters.dropped, counters.refused) == (3, 0)
-    else:
-        assert taken == [True] * bound + [False] * 3
-        assert entries == list(range(bound))
-        assert (counters.dropped, counters.refused) == (0, 3)
-    assert counters.sent == bound
+    assert (counters.dropped, counters.refused, counters.sent) == (3 * drops, 3 * (not drops), bound)
 
 
 def test_a_full_class_takes_a_newer_value_of_a_waiting_key() -> None:
@@ -53,6 +33,7 @@ def test_a_full_class_takes_a_newer_value_of_a_waiting_key() -> None:
         assert queue.offer(n, Priority.SETPOINT, 0.0, n)
     assert not queue.offer("new", Priority.SETPOINT, 0.0, "new")
     assert queue.offer("newer", Priority.SETPOINT, 0.0, 0)
+    assert queue.counters[Priority.SETPOINT].replaced == 1
     assert queue.pop(0.0) == ("newer", Priority.SETPOINT)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -23,9 +24,8 @@ from support.table import each
 Offer = tuple[float, Priority, int, int]
 """Seconds since the one before, class, bytes, vehicle."""
 
-OFFERS = st.lists(
-    st.tuples(st.floats(0, 2), st.sampled_from(list(Priority)), st.integers(12, 280), st.integers(1, 5)), max_size=60
-)
+ANY_CLASS = st.sampled_from(list(Priority))
+OFFERS = st.lists(st.tuples(st.floats(0, 2), ANY_CLASS, st.integers(12, 280), st.integers(1, 5)), max_size=60)
 
 
 def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tuple[float, Priority, int, int, float]]:
@@ -54,11 +54,17 @@ def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tu
     return sent
 
 
+def popped(queue: TxQueue[Any], now: float = 0.0) -> list[Any]:
+    """What goes now."""
+    return [entry for entry, _ in iter(lambda: queue.pop(now), None)]
+
+
+"""Seconds since the one before, class, bytes, vehicle."""
+
+
 @given(OFFERS, st.floats(20, 6000), st.floats(60, 1000))
 @settings(max_examples=examples(50), deadline=None)
-def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
-    offers: list[Offer], bytes_per_s: float, burst: float
-) -> None:
+def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(offers, bytes_per_s, burst) -> None:
     sent = run(TxQueue(TokenBucket(bytes_per_s, burst)), offers)
     for first in range(len(sent)):
         total = 0
@@ -69,9 +75,7 @@ def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
 
 @given(OFFERS, st.floats(20, 6000), st.floats(600, 1000))
 @settings(max_examples=examples(50), deadline=None)
-def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(
-    offers: list[Offer], bytes_per_s: float, burst: float
-) -> None:
+def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(offers, bytes_per_s, burst) -> None:
     sent = run(TxQueue(TokenBucket(bytes_per_s, burst)), offers)
     for at, priority, _, _, _ in sent:
         for later, other, _, _, offered in sent:
@@ -91,16 +95,13 @@ def test_everything_that_was_taken_goes_in_the_end(offers: list[Offer], bytes_pe
 
 def test_an_order_leaves_at_once_from_a_link_that_telemetry_saturates() -> None:
     queue: TxQueue[str] = TxQueue(TokenBucket(500.0, 500.0))
-    now = 0.0
     for step in range(2000):
         now = step * 0.01
         queue.offer("forwarded", Priority.FORWARDED, now, size=100)
         if step % 100 == 50:
             queue.offer("order", Priority.COMMAND, now, size=45, flow=step)
-        while queue.pop(now) is not None:
-            pass
-    waits = queue.counters[Priority.COMMAND].waits
-    assert waits.percentile(1.0) == 0.0, "the reserve was there whenever one came"
+        popped(queue, now)
+    assert queue.counters[Priority.COMMAND].waits.percentile(1.0) == 0.0, "the reserve was there whenever one came"
     assert queue.counters[Priority.FORWARDED].dropped > 0
 
 
@@ -109,17 +110,14 @@ def test_a_stop_for_each_of_ten_vehicles_leaves_within_the_burst_and_the_rest_wi
     now = 0.0
     for n in range(200):
         queue.offer(-1, Priority.FORWARDED, now, size=100)
-        while queue.pop(now) is not None:
-            pass
+        popped(queue, now)
         now = n * 0.01
     for vehicle in range(10):
         queue.offer(vehicle, Priority.EMERGENCY, now, size=45, flow=vehicle)
     start, gone = now, []
     while (at := queue.next_send_time(now)) is not None and len(gone) < 10:
         now = at
-        entry = queue.pop(now)
-        assert entry is not None
-        gone.append(entry[0])
+        gone += popped(queue, now)
     assert gone == list(range(10))
     assert now - start <= (450 - RESERVED_SHARE * 500) / 500 + 0.01
 
@@ -133,9 +131,7 @@ def test_heartbeats_go_under_any_flood_and_any_budget(flood: Priority) -> None:
         queue.offer("flood", flood, now, size=45, flow=step % 7)
         if step % 100 == 0:
             queue.offer("heartbeat", Priority.HEARTBEAT, now, "heartbeat", size=21)
-        while (entry := queue.pop(now)) is not None:
-            if entry[0] == "heartbeat":
-                sent.append(now)
+        sent += [now] * popped(queue, now).count("heartbeat")
     gaps = [b - a for a, b in zip([0.0, *sent], sent, strict=False)]
     assert max(gaps) <= 2 * HEARTBEAT_WAITS_S + 45 / 60 + 0.1
 
@@ -161,13 +157,11 @@ def test_one_that_comes_again_after_each_of_its_frames_has_no_advantage() -> Non
     queue: TxQueue[str] = TxQueue()
     for _ in range(50):
         queue.offer("many", Priority.COMMAND, 0.0, size=50, flow=1)
-    order = []
+    order: list[str] = []
     for _ in range(40):
         if "again" not in order[-1:]:
             queue.offer("again", Priority.COMMAND, 0.0, size=50, flow=2)
-        entry = queue.pop(0.0)
-        assert entry is not None
-        order.append(entry[0])
+        order += [entry[0] for entry in [queue.pop(0.0)] if entry is not None]
     assert abs(order.count("many") - order.count("again")) <= 1
 
 
@@ -178,10 +172,9 @@ def test_who_was_silent_has_saved_nothing_up() -> None:
         queue.offer("busy", Priority.COMMAND, 0.0, size=10, flow="busy")
         queue.pop(0.0)
     for _ in range(10):
-        queue.offer("new", Priority.COMMAND, 0.0, size=10, flow="new")
-        queue.offer("busy", Priority.COMMAND, 0.0, size=10, flow="busy")
-    first = [entry[0] for _ in range(10) if (entry := queue.pop(0.0)) is not None]
-    assert 4 <= first.count("busy") <= 6
+        for name in ("new", "busy"):
+            queue.offer(name, Priority.COMMAND, 0.0, size=10, flow=name)
+    assert 4 <= popped(queue)[:10].count("busy") <= 6
 
 
 def test_a_flood_for_one_vehicle_drops_its_own_frames() -> None:
@@ -189,10 +182,7 @@ def test_a_flood_for_one_vehicle_drops_its_own_frames() -> None:
     queue.offer("other", Priority.FORWARDED, 0.0, flow=2)
     for _ in range(1000):
         queue.offer("flood", Priority.FORWARDED, 0.0, flow=1)
-    entries = []
-    while (entry := queue.pop(0.0)) is not None:
-        entries.append(entry[0])
-    assert "other" in entries
+    assert "other" in popped(queue)
 
 
 def test_a_setpoint_that_was_replaced_waits_from_the_newest_on_and_takes_its_size() -> None:
@@ -244,16 +234,9 @@ def test_the_status_names_every_class() -> None:
     assert list(status) == [p.name.lower() for p in Priority]
     assert status["command"]["waiting"] == 1
     queue.pop(0.25)
-    assert queue.status()["command"] == {
-        "waiting": 0,
-        "sent": 1,
-        "sent_bytes": 45,
-        "replaced": 0,
-        "dropped": 0,
-        "refused": 0,
-        "wait_p50_s": 0.25,
-        "wait_p95_s": 0.25,
-    }
+    none = dict.fromkeys(("waiting", "replaced", "dropped", "refused"), 0)
+    sent = {"sent": 1, "sent_bytes": 45, "wait_p50_s": 0.25, "wait_p95_s": 0.25}
+    assert queue.status()["command"] == {**none, **sent}
 
 
 def test_the_last_class_keeps_to_its_part_and_holds_up_nobody() -> None:
@@ -274,9 +257,8 @@ def test_the_last_class_keeps_to_its_part_and_holds_up_nobody() -> None:
 def test_it_tells_what_would_be_replaced() -> None:
     queue: TxQueue[int] = TxQueue()
     queue.offer(1, Priority.COMMAND, 0.0, "key", flow=3)
-    assert queue.holds(Priority.COMMAND, 3, "key")
-    assert not queue.holds(Priority.COMMAND, 4, "key")
-    assert not queue.holds(Priority.FORWARDED, 3, "key")
+    where = (Priority.COMMAND, 3), (Priority.COMMAND, 4), (Priority.FORWARDED, 3)
+    assert [queue.holds(priority, flow, "key") for priority, flow in where] == [True, False, False]
     queue.pop(0.0)
     assert not queue.holds(Priority.COMMAND, 3, "key")
 
@@ -287,15 +269,8 @@ def test_what_is_no_longer_wanted_is_taken_out_of_its_class() -> None:
         queue.offer(number, Priority.COMMAND, 0.0, size=10, flow=number % 3)
     queue.offer(3, Priority.FORWARDED, 0.0)
     assert queue.drop(Priority.COMMAND, lambda entry: entry % 3 == 0 or entry == 5) == 3
-    assert len(queue) == 4
-    assert queue.counters[Priority.COMMAND].dropped == 3
-    assert [queue.pop(0.0) for _ in range(5)] == [
-        (1, Priority.COMMAND),
-        (2, Priority.COMMAND),
-        (4, Priority.COMMAND),
-        (3, Priority.FORWARDED),
-        None,
-    ]
+    assert (len(queue), queue.counters[Priority.COMMAND].dropped) == (4, 3)
+    assert popped(queue) == [1, 2, 4, 3]
     queue.offer(1, Priority.HEARTBEAT, 0.0, "beat")
     assert queue.drop(Priority.HEARTBEAT, lambda entry: True) == 1
     assert queue.next_send_time(5.0) is None

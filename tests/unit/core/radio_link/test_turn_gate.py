@@ -40,6 +40,14 @@ def lists() -> ParameterListGate:
     return ParameterListGate()
 
 
+def asked(*systems: int) -> ParameterListGate:
+    """The first has its turn, the others wait."""
+    lists = ParameterListGate()
+    for system in systems:
+        lists.ask(request(system), 0.0)
+    return lists
+
+
 def test_a_list_is_through_when_every_index_was_seen_in_any_order_and_more_than_once(lists: ParameterListGate) -> None:
     assert lists.ask(request(1), 0.0) == "send"
     assert lists.ask(request(2), 0.0) == "hold"
@@ -62,83 +70,65 @@ def test_a_list_of_all_components_is_the_autopilots(lists: ParameterListGate) ->
 
 @each("values", [0, 1, 10])
 def test_a_list_that_ceases_ends_after_a_while_and_lets_the_next_go(values: int) -> None:
-    lists = ParameterListGate()
-    lists.ask(request(1), 0.0)
-    lists.ask(request(2), 0.0)
+    lists = asked(1, 2)
     for index in range(values):
         lists.heard(1, 1, index, 900, 1.0 + index)
     ends = values + SILENCE_S if values else FIRST_VALUE_S
     assert lists.next_at(0.0) == ends
-    assert due(lists, ends - 0.01) is None
-    assert due(lists, ends) == 2
+    assert [due(lists, now) for now in (ends - 0.01, ends)] == [None, 2]
     assert (lists.finished, lists.unfinished) == (0, 1)
 
 
-def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever(lists: ParameterListGate) -> None:
-    lists.ask(request(2), 0.0)
-    lists.ask(request(1), 0.0)
-    now, sent = 0.0, 0
+def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever() -> None:
+    lists, now, sent = asked(2, 1), 0.0, 0
     while due(lists, now) is None:
         now += 1.0
         sent += lists.ask(request(2), now) == "send"
         assert now < 60
-    assert now <= FIRST_VALUE_S
-    assert 1 <= sent <= FIRST_VALUE_S / RESEND_S
+    assert now <= FIRST_VALUE_S and 1 <= sent <= FIRST_VALUE_S / RESEND_S
 
 
 def test_a_request_that_waited_is_repeated_by_the_gate_as_its_sender_has_perhaps_given_up() -> None:
-    lists = ParameterListGate()
-    lists.ask(request(1), 0.0)
-    lists.ask(request(2), 0.0)
-    assert due(lists, FIRST_VALUE_S) == 2
-    assert lists.next_at(FIRST_VALUE_S) == FIRST_VALUE_S + RESEND_S, "though nothing else waits"
-    assert due(lists, FIRST_VALUE_S + RESEND_S - 0.1) is None
-    assert due(lists, FIRST_VALUE_S + RESEND_S) == 2
-    assert due(lists, FIRST_VALUE_S + 2 * RESEND_S) == 2
-    assert lists.next_at(FIRST_VALUE_S + 2 * RESEND_S) is None, "and then its turn ends"
-    assert due(lists, 2 * FIRST_VALUE_S) is None
-    assert lists.status(2 * FIRST_VALUE_S)["unfinished"] == 2
+    lists, first = asked(1, 2), FIRST_VALUE_S
+    assert due(lists, first) == 2
+    assert lists.next_at(first) == first + RESEND_S, "though nothing else waits"
+    times = first + RESEND_S - 0.1, first + RESEND_S, first + 2 * RESEND_S
+    assert [due(lists, now) for now in times] == [None, 2, 2]
+    assert lists.next_at(first + 2 * RESEND_S) is None, "and then its turn ends"
+    assert due(lists, 2 * first) is None
+    assert lists.status(2 * first)["unfinished"] == 2
 
 
-def test_a_request_that_waited_is_not_repeated_once_values_come(lists: ParameterListGate) -> None:
-    lists.ask(request(1), 0.0)
-    lists.ask(request(2), 0.0)
+def test_once_values_come_requests_are_not_repeated() -> None:
+    lists = asked(1, 2)
     assert due(lists, FIRST_VALUE_S) == 2
     lists.heard(2, 1, 0, 900, FIRST_VALUE_S + 1.0)
     assert lists.next_at(FIRST_VALUE_S + 1.0) is None
     assert due(lists, FIRST_VALUE_S + RESEND_S) is None
-
-
-def test_once_values_come_repeats_are_not_sent(lists: ParameterListGate) -> None:
-    lists.ask(request(1), 0.0)
+    lists = asked(1)
     lists.heard(1, 1, 0, 900, 1.0)
     assert lists.ask(request(1), 1.0 + SILENCE_S - 0.1) == "repeat"
     assert lists.ask(request(1, source=7), 2.0) == "repeat", "the list comes to everybody"
 
 
-def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_ever(lists: ParameterListGate) -> None:
-    lists.ask(request(1), 0.0)
-    lists.ask(request(2), 0.0)
-    now = 0.0
+def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_ever() -> None:
+    lists, now = asked(1, 2), 0.0
     while due(lists, now) is None:
         now += 1.0
         lists.heard(1, 1, 5, 900, now)
     assert now == LONGEST_LIST_S
 
 
-def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_turn(lists: ParameterListGate) -> None:
-    for system in (1, 2, 3):
-        lists.ask(request(system), 0.0)
+def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_turn() -> None:
+    lists = asked(1, 2, 3)
     assert lists.ask(request(2, source=7), 1.0) == "repeat"
     assert lists.waiting == [2, 3]
     frame = lists.due(FIRST_VALUE_S, lambda source: source == 7)
-    assert frame is not None
-    assert (frame.target, frame.source) == (2, 7)
+    assert frame is not None and (frame.target, frame.source) == (2, 7)
 
 
-def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all(lists: ParameterListGate) -> None:
-    for system in (1, 2, 3):
-        lists.ask(request(system), 0.0)
+def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all() -> None:
+    lists = asked(1, 2, 3)
     assert lists.due(FIRST_VALUE_S, lambda source: False) is None
     assert lists.abandoned == 2
     assert lists.ask(request(4), FIRST_VALUE_S) == "send"
@@ -147,23 +137,16 @@ def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all(lists: Paramet
     assert lists.ask(request(6), FIRST_VALUE_S) == "send"
 
 
-Step = tuple[float, int, int, int]
+STEPS = st.tuples(st.floats(0, 8), st.integers(1, 4), st.integers(0, 70000), st.integers(0, 70000))
 
 
-@given(
-    st.lists(st.tuples(st.floats(0, 8), st.integers(1, 4), st.integers(0, 70000), st.integers(0, 70000)), max_size=80)
-)
-def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step]) -> None:
-    lists = ParameterListGate()
-    asked: set[int] = set()
-    sent: list[int] = []
-    now = 0.0
+@given(st.lists(STEPS, max_size=80))
+def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[tuple[float, int, int, int]]) -> None:
+    lists, sent, now = ParameterListGate(), list[int](), 0.0
     for pause_s, system, index, count in steps:
         now += pause_s
         before = lists.running
-        answer = lists.ask(request(system), now)
-        asked.add(system)
-        if answer == "send":
+        if lists.ask(request(system), now) == "send":
             sent.append(system)
             assert before is None or before[0] == system or lists.finished + lists.unfinished
         lists.heard(system, 1, index, count, now)
@@ -172,7 +155,7 @@ def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step
         system_now = due(lists, now)
         assert system_now is not None, "next_at is a promise"
         sent.append(system_now)
-    assert set(sent) == asked
+    assert set(sent) == {system for _, system, _, _ in steps}
 
 
 def test_no_more_wait_than_there_can_be_vehicles(lists: ParameterListGate) -> None:

@@ -26,24 +26,14 @@ RATES = {"rollspeed": 0.1, "pitchspeed": 0.2, "yawspeed": 0.3}
 HEARTBEAT = {"autopilot": 12, "type": 2, "base_mode": 0x91, "custom_mode": 0x60000, "system_status": 4}
 GLOBAL = {"time_boot_ms": 5000, "lat": 437806000, "lon": -794653000, "alt": 184500, "relative_alt": 4500}
 BATTERY = {
-    "id": 0,
-    "voltages": [4100, 4000, 4050, *[0xFFFF] * 7],
-    "current_battery": 1234,
-    "current_consumed": 250,
-    "battery_remaining": 87,
-    "temperature": 2550,
-    "charge_state": 2,
+    **{"id": 0, "voltages": [4100, 4000, 4050, *[0xFFFF] * 7], "current_battery": 1234, "current_consumed": 250},
+    **{"battery_remaining": 87, "temperature": 2550, "charge_state": 2},
 }
 ODOMETRY = {
-    "time_usec": 6_000_000,
-    "frame_id": 1,
-    "child_frame_id": 12,
-    **{"x": 1.0, "y": 2.0, "z": 3.0, "q": [0.5, 0.5, 0.5, 0.5], "vx": 4.0, "vy": 5.0, "vz": 6.0},
-    **RATES,
+    **{"time_usec": 6_000_000, "frame_id": 1, "child_frame_id": 12, "reset_counter": 3, "quality": 90},
+    **{"x": 1.0, "y": 2.0, "z": 3.0, "q": [0.5, 0.5, 0.5, 0.5], "vx": 4.0, "vy": 5.0, "vz": 6.0, **RATES},
     "pose_covariance": [float(n) for n in range(21)],
     "velocity_covariance": [float(100 + n) for n in range(21)],
-    "reset_counter": 3,
-    "quality": 90,
 }
 
 
@@ -79,10 +69,8 @@ def test_an_attitude_turns_frd_into_ned(roll: float, pitch: float, yaw: float) -
 
 def test_quaternions_pass_in_their_order_and_take_the_place_of_angles() -> None:
     memory = Px4Memory(1)
-    q = {"q1": 0.5, "q2": -0.5, "q3": 0.5, "q4": 0.5}
-    assert made("ATTITUDE_QUATERNION", {"time_boot_ms": 1, **q, **RATES}, memory)["vehicle_attitude"]["q"] == [
-        *(0.5, -0.5, 0.5, 0.5)
-    ]
+    q = {"time_boot_ms": 1, "q1": 0.5, "q2": -0.5, "q3": 0.5, "q4": 0.5, **RATES}
+    assert made("ATTITUDE_QUATERNION", q, memory)["vehicle_attitude"]["q"] == [0.5, -0.5, 0.5, 0.5]
     angles = {"time_boot_ms": 1, "roll": 0.0, "pitch": 0.0, "yaw": 0.0, **RATES}
     assert made("ATTITUDE", angles, memory) == {}
     assert made("ATTITUDE", angles, memory, NOW + 4 * 10**9)["vehicle_attitude"]["q"] == [1.0, 0.0, 0.0, 0.0]

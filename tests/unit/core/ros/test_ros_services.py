@@ -108,18 +108,13 @@ def test_a_list_is_forgotten_when_somebody_else_replaces_it() -> None:
         mission.on_transfer_ended(mission_type, 20.0)
         assert known(mission) is not is_forgotten and mission.third_party_transfers == is_forgotten
     repeated = listed(3)
-    repeated.on_transfer_ended(0, 10.9)
-    assert known(repeated)
-    repeated.on_transfer_ended(0, 11.2)
-    assert not known(repeated)
+    for at, is_kept in ((10.9, True), (11.2, False)):
+        repeated.on_transfer_ended(0, at)
+        assert known(repeated) is is_kept
     for count, home_first, reported, is_kept in (
-        (3, False, 3, True),
-        (3, False, 2, False),
-        (3, False, 4, False),
-        (3, True, 2, True),
+        *((3, False, 3, True), (3, False, 2, False), (3, False, 4, False), (0, False, 0, True)),
+        *((3, True, 2, True), (3, True, 1, False)),
         (3, True, 3, True),  # MISSION_COUNT counts home, MISSION_CURRENT.total does not
-        (3, True, 1, False),
-        (0, False, 0, True),
         (3, False, None, True),  # it reports none any more
     ):
         mission = listed(count, home_first)
@@ -142,26 +137,29 @@ def test_a_list_is_forgotten_after_an_own_transfer_that_failed_on_its_way() -> N
     assert not known(late)
 
 
+NO_MODES = [
+    "",
+    "77",
+    "-4",
+    "+4",
+    "0b100",
+    "0o4",
+    "4_0",
+    "\u0664",
+    "04",
+    "4.0",
+    str(2**32 + 4),
+    hex(2**32 + 4),
+    "9" * 5000,
+]
+
+
 def test_a_mode_by_name_or_by_number() -> None:
     """lib/uas_stringify.cpp: cmode_from_str takes names in any case, else a number."""
     assert services.mode_asked(" auto.land ", 12, 2) == "AUTO.LAND"
     assert services.mode_asked("4", 3, 2) == "GUIDED" and services.mode_asked("15", 3, 1) == "GUIDED"
     assert services.mode_asked("0x60000", 12, 2) == services.mode_asked(str(6 << 16), 12, 2) == "OFFBOARD"
-    for text in (
-        "",
-        "77",
-        "-4",
-        "+4",
-        "0b100",
-        "0o4",
-        "4_0",
-        "\u0664",
-        "04",
-        "4.0",
-        str(2**32 + 4),
-        hex(2**32 + 4),
-        "9" * 5000,
-    ):
+    for text in NO_MODES:
         with pytest.raises(RequestError):
             services.mode_asked(text, 3, 2)
 
@@ -169,12 +167,12 @@ def test_a_mode_by_name_or_by_number() -> None:
 def test_commands() -> None:
     request = {"command": 183, **{f"param{n}": float(n) for n in range(1, 8)}, "param2": math.nan}
     assert services.command_params(request) == [1, None, 3, 4, 5, 6, 7]
-    assert services.order_of_command(request) is None
-    assert services.order_of_command({"command": 400, "param1": 1.0}) == "vehicles.arm"
-    assert services.order_of_command({"command": 400, "param1": 0.0}) == "vehicles.disarm"
-    assert services.response({"ok": True, "result": "accepted"}) == {"success": True, "result": 0}
-    assert services.response({"ok": False, "result": "denied"}) == {"success": False, "result": 2}
-    assert services.response({"ok": False, "result": "refused"}) == {"success": False, "result": 4}
+    arm, disarm = ({"command": 400, "param1": value} for value in (1.0, 0.0))
+    orders = [services.order_of_command(asked) for asked in (request, arm, disarm)]
+    assert orders == [None, "vehicles.arm", "vehicles.disarm"]
+    for result, number in (("accepted", 0), ("denied", 2), ("refused", 4)):
+        ok = result == "accepted"
+        assert services.response({"ok": ok, "result": result}) == {"success": ok, "result": number}
     with pytest.raises(RequestError):
         services.command_params({**request, "param1": math.inf})
     for made in (services.command_params, services.command_int):
@@ -194,12 +192,7 @@ def test_parameters() -> None:
     for value in ({"type": 4, "string_value": "x"}, {"type": 3, "double_value": math.nan}):
         with pytest.raises(RequestError):
             services.parameter_value({"value": value}, ros1=False)
-    known = ros2_interfaces()
-    for made in (
-        services.ros2_value(3.0, "INT32"),
-        services.ros2_value(0.5, "REAL32"),
-        services.ros2_value(None, None),
-    ):
-        known.encode("rcl_interfaces/msg/ParameterValue", made)
+    for value, type_ in ((3.0, "INT32"), (0.5, "REAL32"), (None, None)):
+        ros2_interfaces().encode("rcl_interfaces/msg/ParameterValue", services.ros2_value(value, type_))
     assert services.mavros_value(3.0, "INT32") == {"integer": 3}
     assert ros1_interfaces().encode("mavros_msgs/msg/ParamValue", services.mavros_value(0.5, "REAL32"))

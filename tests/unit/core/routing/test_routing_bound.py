@@ -56,62 +56,53 @@ def net() -> RoutedNet:
 
 
 def test_it_hears_its_vehicle_with_all_its_components_and_nobody_else(net: RoutedNet) -> None:
-    assert sent(net, "radio", message("ATTITUDE", 1)) == {"qgc", "P1", "P12"}
-    assert sent(net, "radio", message("MOUNT_STATUS", 1, 154)) == {"qgc", "P1", "P12"}
-    assert sent(net, "radio", message("ATTITUDE", 2)) == {"qgc", "P12"}
-    assert sent(net, "wire", message("ATTITUDE", 4)) == {"qgc", "P4"}
-    assert sent(net, "radio", unknown_frame(sysid=3)) == {"qgc", "P3"}
-
-
-def test_no_ground_station_no_radio_and_nothing_of_ours_goes_there(net: RoutedNet) -> None:
-    assert sent(net, "qgc", heartbeat(250, 190, gcs=True)) == {"radio", "wire"}
-    assert sent(net, "qgc", order(1)) == {"radio"}
-    assert sent(net, "radio", message("RADIO_STATUS", 51, 68)) == {"qgc"}
     net.open("P51", bound(51))
-    assert sent(net, "radio", message("RADIO_STATUS", 51, 68)) == {"qgc"}, "a radio is not a vehicle of that id"
+    for channel, data, heard in (
+        ("radio", message("ATTITUDE", 1), {"qgc", "P1", "P12"}),
+        ("radio", message("MOUNT_STATUS", 1, 154), {"qgc", "P1", "P12"}),
+        ("radio", message("ATTITUDE", 2), {"qgc", "P12"}),
+        ("wire", message("ATTITUDE", 4), {"qgc", "P4"}),
+        ("radio", unknown_frame(sysid=3), {"qgc", "P3"}),
+        ("qgc", heartbeat(250, 190, gcs=True), {"radio", "wire"}),
+        ("qgc", order(1), {"radio"}),
+        ("radio", message("RADIO_STATUS", 51, 68), {"qgc"}),  # a radio is not a vehicle of that id
+    ):
+        assert sent(net, channel, data) == heard, (channel, heard)
     net.close("P51")
     ours = {name for name, i in net.ids.items() if i in net.router.route_own(0, 0, net.now)}
     assert ours == {"radio", "wire", "qgc"}
 
 
 def test_an_order_of_ours_for_a_component_met_behind_a_bound_channel_does_not_go_there(net: RoutedNet) -> None:
-    net.datagram("P1", message("HEARTBEAT", 9, 191, type=18, autopilot=8, mavlink_version=3))
-    assert net.router.channels_of(9 << 8 | 191) == (net.ids["P1"],)
-    assert net.router.route_own(9, 191, net.now, everywhere=True) == ()
-    net.datagram("P3", message("HEARTBEAT", 9, 191, 1, type=18, autopilot=8, mavlink_version=3))
-    assert net.router.route_own(9, 191, net.now, everywhere=True) == ()
-    net.datagram("qgc", message("HEARTBEAT", 9, 191, 2, type=18, autopilot=8, mavlink_version=3))
-    assert net.router.route_own(9, 191, net.now, everywhere=True) == (net.ids["qgc"],)
+    for seq, (name, goes_to) in enumerate((("P1", ()), ("P3", ()), ("qgc", ("qgc",)))):
+        net.datagram(name, message("HEARTBEAT", 9, 191, seq, type=18, autopilot=8, mavlink_version=3))
+        assert net.router.route_own(9, 191, net.now, everywhere=True) == tuple(net.ids[n] for n in goes_to)
+        assert name != "P1" or net.router.channels_of(9 << 8 | 191) == (net.ids["P1"],)
 
 
 # -- from a bound channel
 
 
-@each("component", [0, 1, 154])
-def test_it_reaches_its_vehicle(component: int) -> None:
-    net = one_radio()
-    assert sent(net, "P1", order(1, target_component=component)) == {"radio"}
-    assert sent(net, "P4", order(4, target_component=component)) == {"wire"}
-    assert sent(net, "P12", order(2, target_component=component)) == {"radio"}
+def test_it_reaches_its_vehicle(net: RoutedNet) -> None:
+    for component in (0, 1, 154):
+        for program, target, link in (("P1", 1, "radio"), ("P4", 4, "wire"), ("P12", 2, "radio")):
+            assert sent(net, program, order(target, target_component=component)) == {link}
+    assert sent(net, "P1", message("MANUAL_CONTROL", *PROGRAM, target=1)) == {"radio"}
 
 
 @each("target", [2, 3, 4, 9, 250, 255])
 def test_it_reaches_nobody_else_and_not_us(target: int) -> None:
     net = one_radio()
     net.router.table.notes.clear()
-    assert sent(net, "P1", order(target)) == set()
-    assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
-    assert not net.decisions[0].local
-    assert net.router.counters[RoutingVerdict.OUT_OF_BOUNDS] == 1
-    net.datagram("P1", order(target, seq=1))
-    assert net.router.port_counters(net.ids["P1"])["out_of_bounds"] == 2
+    named = {"target_system": target, "target_component": 25}
+    control, setting = message("MANUAL_CONTROL", *PROGRAM, target=target), message("PARAM_SET", *PROGRAM, **named)
+    for count, data in enumerate((order(target), order(target, seq=1), control, setting), 1):
+        assert sent(net, "P1", data) == set()
+        assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS and not net.decisions[0].local
+        assert net.router.counters[RoutingVerdict.OUT_OF_BOUNDS] == count
+        assert net.router.port_counters(net.ids["P1"])["out_of_bounds"] == count
     noted = [(n.kind, n.sysid, n.compid, n.channel_id, n.target) for n in net.router.table.notes]
     assert noted == [("out_of_bounds", *PROGRAM, net.ids["P1"], target)], "told once"
-
-
-def test_a_parameter_set_at_us_is_not_set(net: RoutedNet) -> None:
-    assert sent(net, "P1", message("PARAM_SET", *PROGRAM, target_system=255, target_component=25)) == set()
-    assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
 
 
 @each("name", ["COMMAND_LONG", "MANUAL_CONTROL", "PARAM_REQUEST_LIST", "COMMAND_ACK"])
@@ -122,24 +113,14 @@ def test_what_is_for_all_is_for_none_of_several(name: str, version: int) -> None
     assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
 
 
-def test_manual_control_names_its_target_too(net: RoutedNet) -> None:
-    assert sent(net, "P1", message("MANUAL_CONTROL", *PROGRAM, target=1)) == {"radio"}
-    assert sent(net, "P1", message("MANUAL_CONTROL", *PROGRAM, target=2)) == set()
-
-
-@each("name", ["HEARTBEAT", "SYSTEM_TIME", "GPS_RTCM_DATA"])
+@each("name", ["HEARTBEAT", "SYSTEM_TIME", "GPS_RTCM_DATA", "unknown"])
 def test_what_is_for_nobody_by_name_stays_out_of_a_radio_that_others_hear(name: str) -> None:
     net = one_radio()
     values = {"type": 6, "autopilot": 8} if name == "HEARTBEAT" else {}
-    assert sent(net, "P1", message(name, *PROGRAM, **values)) == {"qgc"}
-    assert net.decisions[0].local, "a heartbeat is an operator's presence"
-    assert sent(net, "P4", message(name, *PROGRAM, **values)) == {"qgc", "wire"}
-    assert sent(net, "P12", message(name, *PROGRAM, **values)) == {"qgc"}
-
-
-def test_an_id_nobody_can_read_goes_where_a_heartbeat_would(net: RoutedNet) -> None:
-    assert sent(net, "P4", unknown_frame(sysid=255, compid=0)) == {"qgc", "wire"}
-    assert sent(net, "P1", unknown_frame(sysid=255, compid=0)) == {"qgc"}
+    data = unknown_frame(sysid=255, compid=0) if name == "unknown" else message(name, *PROGRAM, **values)
+    for program, reached in (("P1", {"qgc"}), ("P4", {"qgc", "wire"}), ("P12", {"qgc"})):
+        assert sent(net, program, data) == reached
+        assert net.decisions[0].local, "a heartbeat is an operator's presence"
 
 
 def test_a_radio_is_its_vehicles_own_once_the_others_are_gone_and_not_before_it_is_heard() -> None:
@@ -159,16 +140,13 @@ def test_a_radio_is_its_vehicles_own_once_the_others_are_gone_and_not_before_it_
     assert sent(net, "P1", beat) == {"radio"}
 
 
-def test_an_autopilot_behind_a_bound_channel_is_an_echo(net: RoutedNet) -> None:
+def test_an_autopilot_behind_a_bound_channel_is_an_echo_and_our_own_id_a_conflict(net: RoutedNet) -> None:
     net.router.table.notes.clear()
     assert sent(net, "P1", heartbeat(1)) == set()
     assert sent(net, "P1", heartbeat(77)) == set(), "also of one that nobody hears"
     assert net.router.counters[RoutingVerdict.DUPLICATE] == 2
     assert [n.kind for n in net.router.table.notes] == ["echo", "echo"]
     assert net.router.channels_of(77 << 8 | 1) == ()
-
-
-def test_our_own_id_is_a_conflict_there_as_everywhere(net: RoutedNet) -> None:
     assert sent(net, "P1", message("COMMAND_LONG", 255, 25, target_system=1)) == set()
     assert net.decisions[0].verdict is RoutingVerdict.CONFLICT
 
@@ -177,27 +155,23 @@ def test_our_own_id_is_a_conflict_there_as_everywhere(net: RoutedNet) -> None:
 
 
 def test_equal_frames_of_alike_programs_are_no_copies(net: RoutedNet) -> None:
-    twice = message("COMMAND_LONG", *PROGRAM, 5, target_system=1, command=400)
-    assert sent(net, "P1", twice) == {"radio"}
-    assert sent(net, "P12", twice) == {"radio"}
-    assert sent(net, "qgc", twice) == {"radio"}, "nor is that of one that is not bound"
-    assert net.router.counters[RoutingVerdict.DUPLICATE] == 0
-    beat = heartbeat(*PROGRAM, 6, gcs=True)
+    for name in ("P1", "P12", "qgc"):
+        assert sent(net, name, order(1, 5)) == {"radio"}, name
     for name in ("P1", "P3", "P4", "P12", "qgc"):
-        net.clear()
-        net.datagram(name, beat)
+        sent(net, name, heartbeat(*PROGRAM, 6, gcs=True))
         assert net.decisions[0].local, name
     assert net.router.counters[RoutingVerdict.DUPLICATE] == 0
 
 
+ANSWER = {"command": 400, "target_system": PROGRAM[0], "target_component": PROGRAM[1]}
+
+
 def test_an_answer_goes_to_the_programs_of_who_answers(net: RoutedNet) -> None:
-    answer = {"command": 400, "target_system": PROGRAM[0], "target_component": PROGRAM[1]}
-    assert sent(net, "radio", message("COMMAND_ACK", 3, **answer)) == {"P3"}
-    assert net.decisions[0].local, "255/0 is our system, and no component of it"
-    assert sent(net, "radio", message("COMMAND_ACK", 2, **answer)) == {"P12"}
-    assert sent(net, "wire", message("COMMAND_ACK", 4, **answer)) == {"P4"}
+    for channel, sysid, reached in (("radio", 3, {"P3"}), ("radio", 2, {"P12"}), ("wire", 4, {"P4"})):
+        assert sent(net, channel, message("COMMAND_ACK", sysid, **ANSWER)) == reached
+        assert net.decisions[0].local, "255/0 is our system, and no component of it"
     net.datagram("qgc", heartbeat(*PROGRAM, 9, gcs=True))
-    assert sent(net, "radio", message("COMMAND_ACK", 3, 1, 1, **answer)) == {"P3", "qgc"}
+    assert sent(net, "radio", message("COMMAND_ACK", 3, 1, 1, **ANSWER)) == {"P3", "qgc"}
 
 
 @each("program", [(245, 190), (1, 240)])
@@ -227,18 +201,24 @@ def test_parallel_ground_stations_and_bound_programs_of_one_id_are_kept_apart(ne
         for name in ("qgc", "qgc2", "P3"):
             net.datagram(name, heartbeat(*PROGRAM, seq % 256, gcs=True))
         net.now += 0.1
-    answer = {"command": 400, "target_system": PROGRAM[0], "target_component": PROGRAM[1]}
     for boot_ms in (900_000, 100):
         net.datagram("P3", message("SYSTEM_TIME", *PROGRAM, time_boot_ms=boot_ms))
-    reached = sent(net, "radio", message("COMMAND_ACK", 3, **answer))
+    reached = sent(net, "radio", message("COMMAND_ACK", 3, **ANSWER))
     assert "P3" in reached
     assert len(reached & {"qgc", "qgc2"}) == 1, "parallel they stay, whatever a bound one's clock says"
 
 
-def test_filters_of_a_bound_channel_count_as_well(net: RoutedNet) -> None:
+def test_opening_and_closing_a_bound_channel_changes_who_hears_and_its_filters_count(net: RoutedNet) -> None:
     net.open("quiet", bound(1, filter_out=MessageFilter(block_msgids=frozenset({30}))))
-    assert "quiet" not in sent(net, "radio", message("ATTITUDE", 1))
-    assert "quiet" in sent(net, "radio", message("HIGHRES_IMU", 1))
+    assert sent(net, "radio", message("HIGHRES_IMU", 1)) == {"qgc", "P1", "P12", "quiet"}
+    assert sent(net, "radio", message("ATTITUDE", 1, seq=1)) == {"qgc", "P1", "P12"}
+    net.close("P1")
+    assert sent(net, "radio", message("ATTITUDE", 1, seq=2)) == {"qgc", "P12"}
+    for name in ("P3", "P4", "P12"):
+        net.close(name)
+    assert sent(net, "radio", message("ATTITUDE", 1, seq=3)) == {"qgc"}
+    net.open("again", bound(1))
+    assert sent(net, "radio", message("ATTITUDE", 1, seq=4)) == {"qgc", "again"}
 
 
 # -- the fast path
@@ -256,13 +236,3 @@ def test_the_fast_path_carries_a_vehicles_frames_to_its_own_programs_and_none_of
     (beat,) = net.parsers["P4"].feed_datagram(heartbeat(245, 190, gcs=True))
     net.router.decide(net.ids["P4"], beat, net.now)
     assert net.router.forwarding_entry(net.ids["P4"], beat) is None
-
-
-def test_opening_and_closing_a_bound_channel_changes_who_hears(net: RoutedNet) -> None:
-    net.close("P1")
-    assert sent(net, "radio", message("ATTITUDE", 1)) == {"qgc", "P12"}
-    for name in ("P3", "P4", "P12"):
-        net.close(name)
-    assert sent(net, "radio", message("ATTITUDE", 1)) == {"qgc"}
-    net.open("again", bound(1))
-    assert sent(net, "radio", message("ATTITUDE", 1)) == {"qgc", "again"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fastcrc.crc16 import mcrf4xx
+
 from skygcs.core.mavlink.frame import encode_payload
 from support.routed import DIALECT, RoutedNet, five_ports, heartbeat, message
 from support.table import each
@@ -13,15 +15,15 @@ def command(target: int, component: int, sysid: int = 250, compid: int = 190, se
     )
 
 
+def crc_of(body: bytes) -> bytes:
+    info = DIALECT.messages[body[7] | body[8] << 8 | body[9] << 16]
+    return mcrf4xx(bytes(body[1:]) + info.crc_extra_byte).to_bytes(2, "little")
+
+
 def signed(raw: bytes) -> bytes:
     """A frame with the signature flag, its CRC made right again, and 13 bytes nobody here can check."""
-    body = bytearray(raw[:-2])
-    body[2] = 1
-    from fastcrc.crc16 import mcrf4xx
-
-    info = DIALECT.messages[body[7] | body[8] << 8 | body[9] << 16]
-    crc = mcrf4xx(bytes(body[1:]) + info.crc_extra_byte)
-    return bytes(body) + bytes((crc & 0xFF, crc >> 8)) + bytes(range(13))
+    body = raw[:2] + b"\1" + raw[3:-2]
+    return body + crc_of(body) + bytes(range(13))
 
 
 def unknown_frame(sysid: int, compid: int) -> bytes:
@@ -70,36 +72,33 @@ def test_one_frame_reaches_exactly_these_channels(case: str, port: str, frame: b
     assert all(got == [frame] for got in net.got.values()), "forwarded bytes are the received bytes"
 
 
+def attitudes(count: int) -> list[bytes]:
+    return [message("ATTITUDE", 1, seq=n, roll=n * 0.01, yawspeed=0.5) for n in range(count)]
+
+
 @each("count", [5, 33])
 def test_case_15_and_16_every_frame_of_a_datagram_is_forwarded(count: int) -> None:
     net = five_ports()
-    frames = [message("ATTITUDE", 1, seq=n, roll=n * 0.01) for n in range(count)]
-    net.datagram("V0", b"".join(frames))
-    assert net.got["G0"] == frames
-    assert net.got["G1"] == frames
+    net.datagram("V0", b"".join(attitudes(count)))
+    assert net.got["G0"] == net.got["G1"] == attitudes(count)
 
 
-@each("transport", ["datagram", "stream"])
-def test_case_17_a_corrupt_length_byte_does_not_cost_the_good_frames_behind_it(transport: str) -> None:
-    net = five_ports()
-    frames = [message("ATTITUDE", 1, seq=n, roll=n * 0.01) for n in range(7)]
-    broken = bytearray(frames[0])
-    broken[1] = 200
-    if transport == "datagram":
-        net.datagram("V0", bytes(broken) + b"".join(frames[1:]))
-    else:
-        net.stream("V0", bytes(broken) + b"".join(frames[1:]))
-        net.silence("V0")
-    assert net.got["G0"] == frames[1:]
+def test_case_17_a_corrupt_length_byte_does_not_cost_the_good_frames_behind_it() -> None:
+    first, *good = attitudes(7)
+    data = first[:1] + bytes((200,)) + first[2:] + b"".join(good)
+    datagram, stream = five_ports(), five_ports()
+    datagram.datagram("V0", data)
+    stream.stream("V0", data)
+    stream.silence("V0")
+    assert datagram.got["G0"] == stream.got["G0"] == good
 
 
 def test_case_18_a_truncated_datagram_does_not_eat_the_following_ones() -> None:
     net = five_ports()
-    frames = [message("ATTITUDE", 1, seq=n, roll=n * 0.01, yawspeed=0.5) for n in range(4)]
-    net.datagram("V0", frames[0][:20])
-    for frame in frames[1:]:
-        net.datagram("V0", frame)
-    assert net.got["G0"] == frames[1:]
+    first, *good = attitudes(4)
+    for data in (first[:20], *good):
+        net.datagram("V0", data)
+    assert net.got["G0"] == good
 
 
 def test_case_21_a_system_seen_on_a_second_channel_is_reached_there() -> None:
@@ -107,8 +106,7 @@ def test_case_21_a_system_seen_on_a_second_channel_is_reached_there() -> None:
     net.datagram("V1", message("HEARTBEAT", 1, 1, 77, type=2, autopilot=3, mavlink_version=3, custom_mode=4))
     net.clear()
     net.datagram("G0", command(1, 1))
-    assert "V1" in net.reached()
-    assert net.reached() <= {"V0", "V1"}
+    assert {"V1"} <= net.reached() <= {"V0", "V1"}
 
 
 def test_case_22_twenty_vehicles_on_one_port_get_only_their_own_commands() -> None:
@@ -130,11 +128,7 @@ def test_an_untrimmed_payload_stays_untrimmed() -> None:
     net = five_ports()
     info = DIALECT.find("PARAM_REQUEST_LIST")
     trimmed = encode_payload(info, info.pack({"target_system": 2}), sysid=250, compid=190, seq=9)
-    from fastcrc.crc16 import mcrf4xx
-
-    body = bytearray(trimmed[:-2]) + b"\0"
-    body[1] += 1
-    crc = mcrf4xx(bytes(body[1:]) + info.crc_extra_byte)
-    untrimmed = bytes(body) + bytes((crc & 0xFF, crc >> 8))
+    body = trimmed[:1] + bytes((trimmed[1] + 1,)) + trimmed[2:-2] + b"\0"
+    untrimmed = body + crc_of(body)
     net.datagram("G0", untrimmed)
     assert net.got == {"V1": [untrimmed]}

@@ -32,11 +32,9 @@ def test_a_vehicle_is_closed_until_its_gate_opens_and_again_when_the_time_is_ove
     g = Gated()
     assert not g.gates.passes(AIR, ALPHA, (), 10.0)
     g.gate.until[ALPHA] = 12.5
-    assert g.gates.passes(AIR, ALPHA, (), 12.499)
-    assert not g.gates.passes(AIR, ALPHA, (), 12.5)
-    assert not g.gates.passes(AIR, BRAVO, (), 11.0)
-    assert g.gates.passes(AIR, OWN, (), 11.0)
-    assert (g.gates.blocked(ALPHA), g.gates.blocked(BRAVO), g.gates.blocked(OWN)) == (2, 1, 0)
+    for target, now, passes in ((ALPHA, 12.499, True), (ALPHA, 12.5, False), (BRAVO, 11.0, False), (OWN, 11.0, True)):
+        assert g.gates.passes(AIR, target, (), now) is passes, (target, now)
+    assert [g.gates.blocked(sysid) for sysid in (ALPHA, BRAVO, OWN)] == [2, 1, 0]
 
 
 @each(
@@ -51,9 +49,7 @@ def test_a_vehicle_is_closed_until_its_gate_opens_and_again_when_the_time_is_ove
         ((ALPHA,), NO_TARGET, (ALPHA, BRAVO), True),
     ],
 )
-def test_frames_for_everybody_follow_who_else_is_heard(
-    held: tuple[int, ...], target: int, others: tuple[int, ...], passes: bool
-) -> None:
+def test_frames_for_everybody_follow_who_else_is_heard(held, target, others, passes) -> None:
     g = Gated()
     g.gate.until |= dict.fromkeys(held, 12.0)
     assert g.gates.passes(AIR, target, others, 11.0) is passes
@@ -88,29 +84,23 @@ def test_of_two_gates_of_one_vehicle_both_have_to_be_open() -> None:
     first.until[ALPHA] = 12.0
     assert gates.is_closed(ALPHA, 10.0)
     second.until[ALPHA] = 11.0
-    assert not gates.is_closed(ALPHA, 10.0)
-    assert gates.is_closed(ALPHA, 11.5)
+    assert [gates.is_closed(ALPHA, now) for now in (10.0, 11.5)] == [False, True]
     assert gates.tables_of(ALPHA) == ["lease", "beacon"] and gates.tables_of(OWN) == []
+    assert not SendGates({"lease": TimedGate()}, pytest.fail), "gates of no vehicle are none"  # type: ignore[arg-type]
 
 
 def test_each_change_is_told_once_and_a_fault_is_one() -> None:
     g = Gated()
-    assert g.gates.changes(10.0) == []
-    g.gate.until[ALPHA] = 12.0
-    assert g.gates.changes(10.1) == [GateChange(ALPHA, None)]
-    g.gate.until[ALPHA] = 13.0
-    assert g.gates.changes(11.0) == []
-    assert g.gates.changes(14.0) == [GateChange(ALPHA, "1 is not ours now")]
-    assert g.gates.changes(14.1) == []
-    g.gate.until[ALPHA] = 20.0
-    assert g.gates.changes(14.2) == [GateChange(ALPHA, None)]
+    opened, closed = GateChange(ALPHA, None), GateChange(ALPHA, "1 is not ours now")
+    for until, now, changes in (
+        *((None, 10.0, []), (12.0, 10.1, [opened]), (13.0, 11.0, [])),
+        *((None, 14.0, [closed]), (None, 14.1, []), (20.0, 14.2, [opened])),
+    ):
+        g.gate.until |= {} if until is None else {ALPHA: until}
+        assert g.gates.changes(now) == changes, now
     g.gate.fault = ValueError("broken")
     (change,) = g.gates.changes(14.3)
     assert change.sysid == ALPHA and "[lease]" in str(change.refusal)
-
-
-def test_gates_of_no_vehicle_are_none() -> None:
-    assert not SendGates({"lease": TimedGate()}, pytest.fail)  # type: ignore[arg-type]
 
 
 @each(
@@ -129,7 +119,4 @@ def test_the_target_of_a_message(name: str, fields: dict[str, int], target: int)
     assert target_of(info, info.pack(fields)) == target
     trimmed = info.pack(fields)[: max(info.target_system_offset, 0)]
     assert target_of(info, trimmed) == min(target, 0)
-
-
-def test_a_message_that_is_not_known_may_be_for_anybody() -> None:
-    assert target_of(None, b"\7") == 0
+    assert target_of(None, b"\7") == 0, "a message that is not known may be for anybody"

@@ -19,9 +19,7 @@ trajectories = st.lists(pieces, min_size=1, max_size=3).map(Trajectory)
 
 
 @given(coefficients, st.floats(0.1, 5.0), st.floats(0, 1))
-def test_the_bernstein_form_encloses_the_polynomial_and_meets_it_at_the_ends(
-    c: tuple[float, ...], duration: float, part: float
-) -> None:
+def test_the_bernstein_form_encloses_the_polynomial_and_meets_it_at_the_ends(c, duration, part) -> None:
     b = from_power(c, duration)
     error = error_bound(c, duration) + 1e-9
     value = math.fsum(a * (part * duration) ** k for k, a in enumerate(c))

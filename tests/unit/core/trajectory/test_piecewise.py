@@ -84,14 +84,9 @@ def test_what_cannot_be_flown_is_refused_with_piece_and_axis(piece: Piece, words
 
 
 def test_a_trajectory_has_a_bounded_size() -> None:
-    still = Piece(1.0, (0.0,), (0.0,), (0.0,))
-    for pieces, words in (
-        ((), "no pieces"),
-        ((still,) * (MAX_PIECES + 1), "10001 pieces"),
-        ((still,) * 7201, "7201 s"),
-    ):
+    for count, words in ((0, "no pieces"), (MAX_PIECES + 1, "10001 pieces"), (7201, "7201 s")):
         with pytest.raises(TrajectoryError, match=words):
-            Trajectory(pieces)
+            Trajectory([Piece(1.0, (0.0,), (0.0,), (0.0,))] * count)
 
 
 def test_jumps_are_found_where_they_are() -> None:
@@ -99,22 +94,19 @@ def test_jumps_are_found_where_they_are() -> None:
     second = Piece(1.0, (1.0, 1.0, 0.5), (0.0, 2.0), (0.0,), (math.tau,))
     start, middle, end = joints(Trajectory([first, second]))
     assert (start.velocity_mps, start.acceleration_mps2) == (1.0, 0.0)
-    assert (middle.piece, middle.t_s, middle.position_m, middle.velocity_mps, middle.acceleration_mps2) == (
-        2,
-        1,
-        0,
-        2,
-        1,
-    )
+    found = middle.piece, middle.t_s, middle.position_m, middle.velocity_mps, middle.acceleration_mps2
+    assert found == (2, 1, 0, 2, 1)
     assert middle.yaw_rad == pytest.approx(0.0, abs=1e-12)
     assert end.velocity_mps == pytest.approx(math.hypot(2.0, 2.0))
     require_continuous(Trajectory([first, second]))
-    with pytest.raises(TrajectoryError, match=r"piece 2: the velocity jumps by 2 m/s at 1 s"):
-        require_continuous(Trajectory([first, second]), 1.5)
-    with pytest.raises(TrajectoryError, match=r"piece 2: the position jumps by 0\.02 m at 1 s"):
-        require_continuous(Trajectory([first, Piece(1.0, (1.02,), (0.0,), (0.0,), (0.0,))]))
-    with pytest.raises(TrajectoryError, match=r"piece 2, yaw: the yaw jumps by 5\.73° at 1 s"):
-        require_continuous(Trajectory([first, Piece(1.0, (1.0,), (0.0,), (0.0,), (0.1,))]))
+    aside, turned = Piece(1.0, (1.02,), (0.0,), (0.0,), (0.0,)), Piece(1.0, (1.0,), (0.0,), (0.0,), (0.1,))
+    for then, speed_mps, words in (
+        (second, (1.5,), r"piece 2: the velocity jumps by 2 m/s at 1 s"),
+        (aside, (), r"piece 2: the position jumps by 0\.02 m at 1 s"),
+        (turned, (), r"piece 2, yaw: the yaw jumps by 5\.73° at 1 s"),
+    ):
+        with pytest.raises(TrajectoryError, match=words):
+            require_continuous(Trajectory([first, then]), *speed_mps)
 
 
 def test_a_trajectory_without_yaw_gives_none() -> None:

@@ -24,9 +24,7 @@ limits = st.builds(
 
 @settings(max_examples=examples(80))
 @given(st.lists(point, min_size=1, max_size=6), limits)
-def test_an_untimed_path_is_flown_within_its_limits_and_through_its_points(
-    points: list[Point], allowed: MotionLimits
-) -> None:
+def test_an_untimed_path_is_flown_within_its_limits_and_through_its_points(points, allowed) -> None:
     trajectory = path_within(points, allowed)
     require_continuous(trajectory, 1e-6)
     require_within(trajectory, allowed)

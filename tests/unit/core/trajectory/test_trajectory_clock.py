@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given, settings
@@ -51,7 +52,13 @@ def test_a_pause_stops_on_the_path_and_a_resumption_goes_on() -> None:
     assert clock.finishes_at_s(203.0) == pytest.approx(250.0)
 
 
-def test_a_resumption_while_it_still_slows_down_speeds_up_from_there() -> None:
+def test_the_speed_factor_ramps_and_a_resumption_while_it_still_slows_down_speeds_up_from_there() -> None:
+    clock = running(TrajectoryClock(60.0, 0.5))
+    clock.set_speed(10.0, 0.5)
+    assert clock.at(10.5)[1:3] == (0.75, -0.5)
+    assert clock.at(11.0)[:3] == (pytest.approx(10.75), 0.5, 0.0)
+    clock.set_speed(20.0, 2.0)
+    assert clock.at(30.0).rate == 2.0
     clock = running(TrajectoryClock(60.0, 0.5))
     clock.pause(10.0)
     clock.resume(11.0)
@@ -88,15 +95,6 @@ def test_a_start_that_was_paused_goes_on_from_the_beginning() -> None:
     assert clock.at(22.0)[:2] == (pytest.approx(1.5), 1.0)
 
 
-def test_the_speed_factor_ramps() -> None:
-    clock = running(TrajectoryClock(60.0, 0.5))
-    clock.set_speed(10.0, 0.5)
-    assert clock.at(10.5)[1:3] == (0.75, -0.5)
-    assert clock.at(11.0)[:3] == (pytest.approx(10.75), 0.5, 0.0)
-    clock.set_speed(20.0, 2.0)
-    assert clock.at(30.0).rate == 2.0
-
-
 @each("factor", [0.0, -1.0, math.nan, math.inf, 5.0])
 def test_a_speed_factor_that_is_none_is_refused(factor: float) -> None:
     with pytest.raises(RefusedError, match="speed factor"):
@@ -117,17 +115,17 @@ def test_a_start_in_the_past_or_never_is_refused(at_s: float) -> None:
 
 def test_what_the_state_does_not_allow_is_refused() -> None:
     clock = TrajectoryClock(10.0, 1.0)
-    for order in (clock.pause, clock.resume):
-        with pytest.raises(RefusedError, match="ready"):
-            order(0.0)
+
+    def refused(now: float, word: str, *orders: Callable[[float], object]) -> None:
+        for order in orders:
+            with pytest.raises(RefusedError, match=word):
+                order(now)
+
+    refused(0.0, "ready", clock.pause, clock.resume)
     clock.start(0.0, 1.0)
-    for order, word in ((clock.resume, "waiting"), (lambda now: clock.start(now, now), "waiting")):
-        with pytest.raises(RefusedError, match=word):
-            order(0.5)
+    refused(0.5, "waiting", clock.resume, lambda now: clock.start(now, now))
     clock.at(20.0)
-    for order in (clock.pause, clock.resume):
-        with pytest.raises(RefusedError, match="finished"):
-            order(21.0)
+    refused(21.0, "finished", clock.pause, clock.resume)
 
 
 def test_a_moving_start_and_end_are_ramped() -> None:
@@ -160,9 +158,7 @@ orders = st.lists(
 
 @settings(max_examples=examples(80))
 @given(orders, st.floats(0.05, 3.0), st.sampled_from([SQUARE, LINE]))
-def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration(
-    steps: list[tuple[float, str | float]], factor: float, trajectory: Trajectory
-) -> None:
+def test_the_clock_never_jumps_nor_goes_back_and_keeps_the_bound_of_acceleration(steps, factor, trajectory) -> None:
     """Whatever is ordered and when: s is continuous and monotone, the reference a motion with bounded acceleration."""
     brake = 1.5
     clock = running(common_clock([LoadedTrajectory(trajectory)], brake, factor))
