@@ -258,11 +258,8 @@ def test_links_are_listed_added_changed_and_removed(fleet: Fleet) -> None:
     assert "qgc" in fleet.run("links", "add", "qgc", "type=udp_client", "host=10.0.0.5", "port=14550")
     assert fleet.daemon.links["qgc"] == {"type": "udp_client", "host": "10.0.0.5", "port": 14550}
     fleet.run("links", "add", "few", "type=memory", "allow_msg_id_in=HEARTBEAT,30", "block_msg_id_out=ATTITUDE")
-    assert fleet.daemon.links.pop("few") == {
-        "type": "memory",
-        "allow_msg_id_in": ["HEARTBEAT", 30],
-        "block_msg_id_out": ["ATTITUDE"],
-    }
+    wanted = {"type": "memory", "allow_msg_id_in": ["HEARTBEAT", 30], "block_msg_id_out": ["ATTITUDE"]}
+    assert fleet.daemon.links.pop("few") == wanted
     fleet.run("links", "change", "qgc", "type=udp_server", "port=1")
     assert fleet.daemon.links["qgc"]["type"] == "udp_server"
     assert [link["name"] for link in fleet.json("links", "remove", "qgc")] == ["radio"]

@@ -67,10 +67,8 @@ def test_gains_that_are_refused_change_nothing_and_exit_1(fleet: Commanded) -> N
 
 
 def test_recording_prints_the_files(fleet: Commanded) -> None:
-    assert fleet.run("control", "record", "1,2", "on").splitlines() == [
-        "alpha: /logs/alpha.csv",
-        "bravo: /logs/bravo.csv",
-    ]
+    wanted = ["alpha: /logs/alpha.csv", "bravo: /logs/bravo.csv"]
+    assert fleet.run("control", "record", "1,2", "on").splitlines() == wanted
     assert fleet.run("control", "record", "alpha", "off") == "alpha: nothing was being recorded\n"
     assert fleet.json("control", "record", "alpha", "off") == {"files": {"alpha": None}}
 
@@ -178,13 +176,8 @@ def trace(tmp_path: Path) -> Path:
 
 def test_a_trace_is_replayed_without_a_daemon(trace: Path) -> None:
     assert replayed(trace) == "alpha: 1,425 steps, all bit-identical\n"
-    assert json.loads(replayed(trace, "--json")) == {
-        "vehicle": "alpha",
-        "steps": 1425,
-        "mismatches": 0,
-        "first": [],
-        "cut_line": None,
-    }
+    wanted = {"vehicle": "alpha", "steps": 1425, "mismatches": 0, "first": [], "cut_line": None}
+    assert json.loads(replayed(trace, "--json")) == wanted
 
 
 def test_a_difference_is_reported_by_line_and_column_and_exits_1(trace: Path) -> None:

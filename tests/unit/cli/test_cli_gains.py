@@ -46,12 +46,8 @@ def loop(found: dict[str, Any], axis: str, plant: str) -> dict[str, Any]:
 def test_without_gains_it_is_about_the_default_gains_on_both_plants() -> None:
     found = answer()
     assert found == answer(*UTIAS, "--hover", "0.45")
-    assert {(x["axis"], x["plant"]): round(x["plant_gain"], 3) for x in found["loops"]} == {
-        ("xy", "tilt"): 9.81,
-        ("z", "tilt"): 1.0,
-        ("xy", "thrust"): 21.8,
-        ("z", "thrust"): 21.8,
-    }
+    expected = {("xy", "tilt"): 9.81, ("z", "tilt"): 1.0, ("xy", "thrust"): 21.8, ("z", "thrust"): 21.8}
+    assert {(x["axis"], x["plant"]): round(x["plant_gain"], 3) for x in found["loops"]} == expected
     margins = loop(found, "z", "thrust")["margins"]
     assert margins["crossover_radps"] == pytest.approx(6.615, abs=1e-3)
     assert margins["phase_margin_deg"] == pytest.approx(80.8, abs=0.05)
@@ -185,10 +181,8 @@ def test_a_rate_is_a_delay_of_half_its_period() -> None:
 
 
 def test_a_plant_gain_of_ones_own_replaces_both() -> None:
-    assert [(x["axis"], x["plant"], x["plant_gain"]) for x in answer("--plant-gain", "15", *SHORT)["loops"]] == [
-        ("xy", "given", 15.0),
-        ("z", "given", 15.0),
-    ]
+    expected = [("xy", "given", 15.0), ("z", "given", 15.0)]
+    assert [(x["axis"], x["plant"], x["plant_gain"]) for x in answer("--plant-gain", "15", *SHORT)["loops"]] == expected
     assert [x["plant_gain"] for x in answer("--plant-gain", "15,3", *SHORT)["loops"]] == [15.0, 3.0]
 
 

@@ -160,11 +160,8 @@ def test_watch_shows_the_status_and_then_what_concerns_missions(site: Site) -> N
 
     site.when_followed(happen)
     lines = site.run("mission", "watch", "alpha", "--count", "2").splitlines()
-    assert [line.rpartition("alpha")[2] for line in lines] == [
-        "       no current item reported yet",
-        ": mission upload: in progress 10 %",
-        ": reached item 2 of 4",
-    ]
+    wanted = ["       no current item reported yet", ": mission upload: in progress 10 %", ": reached item 2 of 4"]
+    assert [line.rpartition("alpha")[2] for line in lines] == wanted
 
 
 def test_fence_status_shows_what_is_held_and_breaches(site: Site) -> None:

@@ -97,15 +97,8 @@ OF_THE_DAEMON = frozenset(
 
 AT_ONCE = frozenset(
     {
-        *(
-            "clock.read",
-            "missions.end_turns",
-            "control.gains",
-            "control.record",
-            "control.setpoint",
-            "messages.send",
-            "origin.set",
-        ),
+        *("clock.read", "missions.end_turns", "control.gains", "control.record"),
+        *("control.setpoint", "messages.send", "origin.set"),
         *("origin.from_vehicle", "params.cancel", "plan.cancel", "plan.certify", "plan.load", "plan.make"),
         *("plan.speed", "plan.unload", "plan.upload", "signing.reset_clock", "trajectory.abort", "trajectory.load"),
         *("trajectory.pause", "trajectory.resume", "trajectory.speed", "trajectory.unload", "undo.drop"),

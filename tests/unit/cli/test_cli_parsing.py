@@ -59,12 +59,8 @@ def test_numbers_keep_their_value(number: float) -> None:
 
 
 def test_pairs_make_a_table_and_dots_nest_it() -> None:
-    assert parse_pairs(["type=udp_server", "port=1", "rate_out.messages.ATTITUDE=2.5", "note=a=b"]) == {
-        "type": "udp_server",
-        "port": 1,
-        "rate_out": {"messages": {"ATTITUDE": 2.5}},
-        "note": "a=b",
-    }
+    wanted = {"type": "udp_server", "port": 1, "rate_out": {"messages": {"ATTITUDE": 2.5}}, "note": "a=b"}
+    assert parse_pairs(["type=udp_server", "port=1", "rate_out.messages.ATTITUDE=2.5", "note=a=b"]) == wanted
 
 
 @each("pairs", [["x"], ["=1"], ["a=1", "a=2"], ["a=1", "a.b=2"]])

@@ -132,16 +132,8 @@ def test_markup_in_a_status_text_is_only_text() -> None:
 def test_chosen_fields_are_columns() -> None:
     shown = text_of(status.status_table([state()], ["battery.volts", "position.vel_enu_mps.0", "home.lat_deg", "x.y"]))
     assert shown.split() == [
-        "name",
-        "battery.volts",
-        "position.vel_enu_mps.0",
-        "home.lat_deg",
-        "x.y",
-        "alpha",
-        "15.8",
-        "0.1",
-        "-",
-        "-",
+        *("name", "battery.volts", "position.vel_enu_mps.0", "home.lat_deg", "x.y"),
+        *("alpha", "15.8", "0.1", "-", "-"),
     ]
 
 
@@ -151,14 +143,8 @@ def test_durations_are_short(seconds: float | None, text: str) -> None:
 
 
 def outcome(**changes: Any) -> dict[str, Any]:
-    return {
-        "ok": True,
-        "result": "accepted",
-        "message": "armed",
-        "attempts": 1,
-        "elapsed_s": 0.42,
-        "status_texts": [],
-    } | changes
+    sent = {"attempts": 1, "elapsed_s": 0.42, "status_texts": []}
+    return {"ok": True, "result": "accepted", "message": "armed", **sent, **changes}
 
 
 def test_every_vehicle_has_a_line_with_its_outcome_and_reason() -> None:
@@ -236,27 +222,16 @@ def test_events_and_messages_are_one_line_and_show_what_was_lost(monkeypatch: py
     assert render.event_line({**event, "text": "alpha lands", "dropped": 3}).endswith(
         "alpha lands  [3 events lost before this one]"
     )
-    message = {
-        "vehicle": None,
-        "sysid": 255,
-        "compid": 190,
-        "name": "X",
-        "fields": {"a": None, "b": [1, 0.5], "c": "t"},
-    }
+    fields = {"a": None, "b": [1, 0.5], "c": "t"}
+    message = {"vehicle": None, "sysid": 255, "compid": 190, "name": "X", "fields": fields}
     assert messages.message_line(message) == "255/190 X a=- b=[1, 0.5] c=t"
 
 
 def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
     daemon = FakeDaemon()
     up = daemon.links.status()[0]
-    down = {
-        "name": "lte",
-        "type": "tcp_client",
-        "role": "gcs",
-        "state": "down",
-        "since_s": 3.0,
-        "last_error": "refused " * 40,
-    }
+    down = {"name": "lte", "type": "tcp_client", "role": "gcs", "state": "down", "since_s": 3.0}
+    down["last_error"] = "refused " * 40
     off = {"name": "spare", "type": "serial", "role": "peer", "state": "disabled", "since_s": 9.0, "last_error": "old"}
     lines = text_of(links.links_table([{**up, "channels": up["channels"] * 2}, down, off])).splitlines()
     for cell in ("radio", "serial", "up 42 s", "/dev/ttyUSB0", "1200", "57 B", "1/1 1.0 %"):

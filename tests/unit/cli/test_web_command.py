@@ -6,7 +6,9 @@ import argparse
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from skygcs.cli import demo
 from skygcs.cli.web import _options, add_web
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE
 from support.table import each
@@ -53,3 +55,20 @@ def test_a_browser_is_opened_on_a_terminal_with_a_display_only(
     assert _options(parser.parse_args(["web"])).open_browser is opens
     for never in (["web", "--no-open"], ["web", "--supervised"]):
         assert not _options(parser.parse_args(never)).open_browser
+
+
+# -- `skygcs demo` without what its page needs says what to install, in full.
+
+
+def test_a_plain_install_is_told_which_extra_the_page_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It printed "needs the package aiohttp", a restart warning and two wrong hints."""
+    monkeypatch.setattr(demo, "find_spec", lambda name: None)
+    missing = demo._missing_page()
+    console = Console(record=True, width=100)
+    console.print(f"web page: {missing}", highlight=False, markup=False)
+    assert "pip install 'skygcs[web]'" in console.export_text()
+    monkeypatch.setattr(demo, "find_spec", lambda name: name)
+    monkeypatch.setattr(demo, "is_built", lambda: False)
+    assert "make web" in str(demo._missing_page())
+    monkeypatch.setattr(demo, "is_built", lambda: True)
+    assert demo._missing_page() is None

@@ -292,11 +292,8 @@ def test_of_many_mistakes_the_first_are_named(tmp_path: Path) -> None:
 def test_a_wrong_value_hides_no_conflict_and_invents_none(tmp_path: Path) -> None:
     text = "[daemon]\nsysid = 'x'\n[vehicles.a]\nsysid = 255\n[vehicles.b]\nsysid = 3\nx = 1\n[vehicles.c]\nsysid = 3\n"
     found = problems(tmp_path, text)
-    assert [p.split(":")[0] for p in found] == [
-        "daemon.sysid (line 2)",
-        "vehicles.b.x (line 7)",
-        "vehicles.c.sysid (line 9)",
-    ]
+    wanted = ["daemon.sysid (line 2)", "vehicles.b.x (line 7)", "vehicles.c.sysid (line 9)"]
+    assert [p.split(":")[0] for p in found] == wanted
 
 
 @each(

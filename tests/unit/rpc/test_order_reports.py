@@ -57,10 +57,8 @@ async def test_a_request_that_asks_gets_each_outcome_before_its_reply_and_others
     first = await lines_of(tmp_path / "s.sock", {"id": "a", "report": True, **order}, count=3)
     assert [line["method"] for line in first] == ["order.begun", "order.outcome", "order.outcome"]
     assert first[0]["params"] == {"request": "a", "vehicles": ["alpha", "bravo", "carol"]}
-    assert {line["params"]["vehicle"]: line["params"]["outcome"]["message"] for line in first[1:]} == {
-        "alpha": "accepted",
-        "carol": "denied: requires position",
-    }
+    wanted = {"alpha": "accepted", "carol": "denied: requires position"}
+    assert {line["params"]["vehicle"]: line["params"]["outcome"]["message"] for line in first[1:]} == wanted
     assert all(line["params"]["request"] == "a" for line in first)
     # of these none has reports: not asked for, asked for in no known way, or without an id
     daemon.vehicle("bravo").delay_s = 0.0

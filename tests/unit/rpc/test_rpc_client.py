@@ -85,11 +85,8 @@ async def test_a_list_of_many_states_gives_others_their_turn(
     other = asyncio.create_task(take_turns())
     states = await asyncio.gather(gcs.vehicles(), gcs.vehicles("carol"), gcs.vehicles())
     other.cancel()
-    assert [[state["name"] for state in listed] for listed in states] == [
-        ["alpha", "bravo", "carol"],
-        ["carol"],
-        ["alpha", "bravo", "carol"],
-    ]
+    wanted = [["alpha", "bravo", "carol"], ["carol"], ["alpha", "bravo", "carol"]]
+    assert [[state["name"] for state in listed] for listed in states] == wanted
     first, second = turns.index(1), turns.index(2)
     assert second - first >= 3, "the second list began before the first one had its three turns"
 

@@ -12,12 +12,14 @@ import pytest
 from pydantic import TypeAdapter
 
 from skygcs.core.vehicle.state import VehicleState
-from skygcs.errors import RpcError
+from skygcs.errors import RpcError, SkygcsError
+from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_token
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.control import ControlState, GainsAnswer
 from skygcs.rpc.server import RpcServer
 from support.controlled import FLYING, OFF, ControlledFleet, ControlledVehicle
 from support.fake_daemon import NAMES, FakeDaemon, FakeOutcome
+from support.rpc_bench import Bench, running
 from support.table import each
 from support.vehicles import Ground, ScriptedVehicle
 
@@ -167,3 +169,56 @@ async def test_the_shape_is_that_of_a_real_vehicle_and_the_fakes_have_it() -> No
         assert {**OFF, "vehicle": actor.name} == state
         GainsAnswer.model_validate({"outcomes": {}, "gains": {"x": actor.offboard.gains()}})
         assert actor.state(ground.loop.time())["control"] is None
+
+
+# -- Which requests count for operator_timeout_s: all of a client's, unless it relays for somebody who may have left.
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> AsyncIterator[Bench]:
+    async with running(tmp_path) as bench:
+        yield bench
+
+
+async def test_each_request_of_a_plain_client_counts(bench: Bench) -> None:
+    peer = await bench.connect()
+    await peer.call("vehicles.list")
+    await peer.call("no.such.method")
+    assert bench.daemon.requests_seen == 2
+
+
+async def test_of_a_client_that_relays_only_a_persons_activity_counts(bench: Bench) -> None:
+    relay, plain = await bench.connect(), await bench.connect()
+    assert (await relay.call("operator.relay"))["result"] == {"ok": True}
+    for method in ("vehicles.list", "daemon.info", "no.such.method", "operator.relay"):
+        await relay.call(method)
+    await relay.call("subscribe", topic="telemetry", rate_hz=20.0)
+    await relay.call("vehicles.arm", targets="all")
+    assert bench.daemon.requests_seen == 0
+    await relay.call("operator.active")
+    assert bench.daemon.requests_seen == 1
+    await plain.call("vehicles.list")
+    assert bench.daemon.requests_seen == 2
+
+
+async def test_a_person_is_counted_once_by_a_plain_client_and_by_name(bench: Bench) -> None:
+    peer = await bench.connect()
+    await peer.call("operator.active")
+    assert bench.daemon.requests_seen >= 1
+
+
+# -- Where clients find the daemon, and its token.
+
+
+def test_the_token_is_read_from_the_file_that_the_environment_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(TOKEN_FILE_VARIABLE, raising=False)
+    assert client_token() is None
+    file = tmp_path / "token"
+    file.write_text("secret\n")
+    monkeypatch.setenv(TOKEN_FILE_VARIABLE, str(file))
+    assert client_token() == "secret"
+    file.unlink()
+    with pytest.raises(SkygcsError, match=f"cannot read the token file {file}"):
+        client_token()

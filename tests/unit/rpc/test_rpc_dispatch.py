@@ -75,11 +75,8 @@ def request(method: str = "pair", params: Any = None, request_id: Any = 1) -> di
 @each("method", ["pair", "slow"])
 def test_result_comes_with_the_requests_id(method: str) -> None:
     for request_id in (1, "x", 2.5, None, 10**40, "\x00\u2028é"):
-        assert ask(request(method, {"first": 3}, request_id)) == {
-            "jsonrpc": "2.0",
-            "id": request_id,
-            "result": [3, 2.0],
-        }
+        wanted = {"jsonrpc": "2.0", "id": request_id, "result": [3, 2.0]}
+        assert ask(request(method, {"first": 3}, request_id)) == wanted
 
 
 @each("method", ["pair", "slow"])

@@ -40,6 +40,8 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
     alpha = bench.daemon.vehicle("alpha")
     place = dict.fromkeys(("enu_m", "yaw_deg")) | {"lat_deg": 43.0, "lon_deg": -79.0, "height_m": 5.0}
     place |= {"force": False, "same_place": False, "together": None}
+    rate: dict[str, Any] = {"message": "ATTITUDE", "rate_hz": None}
+    raw = dict.fromkeys(("int_frame", "x", "y", "z")) | {"command": 183, "params": [1.0, None], "force": False}
     orders: list[tuple[str, dict[str, Any], tuple[str, dict[str, Any]]]] = [
         ("arm", {"force": True, "wait_s": 2.5}, ("arm", {"force": True, "wait_s": 2.5})),
         ("disarm", {}, ("disarm", {"force": False})),
@@ -53,29 +55,10 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
         ("goto", {"lat_deg": 43, "lon_deg": -79, "height_m": 5}, ("goto", place)),
         ("reboot", {"force": True}, ("reboot", {"force": True})),
         ("set_home", {}, ("set_home", {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None, "force": False})),
-        (
-            "interval",
-            {"message": "ATTITUDE", "rate_hz": None},
-            ("set_message_interval", {"message": "ATTITUDE", "rate_hz": None}),
-        ),
+        ("interval", rate, ("set_message_interval", rate)),
         ("request", {"message": 30}, ("request_message", {"message": 30})),
         ("stream", {"stream": "ALL", "rate_hz": 4}, ("request_stream", {"stream": "ALL", "rate_hz": 4.0})),
-        (
-            "command",
-            {"command": 183, "params": [1, None]},
-            (
-                "command",
-                {
-                    "command": 183,
-                    "params": [1.0, None],
-                    "int_frame": None,
-                    "x": None,
-                    "y": None,
-                    "z": None,
-                    "force": False,
-                },
-            ),
-        ),
+        ("command", {"command": 183, "params": [1, None]}, ("command", raw)),
     ]
     for method, params, expected in orders:
         answer = await peer.call(f"vehicles.{method}", targets="alpha", **params)

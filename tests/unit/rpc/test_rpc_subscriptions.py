@@ -240,12 +240,8 @@ async def test_events_of_the_wanted_kinds_and_vehicles_come_in_order(reported: T
     for kind, vehicle in (("armed", "alpha"), ("mode", "alpha"), ("armed", "carol"), ("link_up", None)):
         reported.daemon.emit(kind, vehicle, f"{kind} {vehicle}", odd=float("nan"))
     await settle()
-    assert [n["event"]["text"] for n in everything.take()] == [
-        "armed alpha",
-        "mode alpha",
-        "armed carol",
-        "link_up None",
-    ]
+    wanted = ["armed alpha", "mode alpha", "armed carol", "link_up None"]
+    assert [n["event"]["text"] for n in everything.take()] == wanted
     told_of = arming.take()
     assert [n["event"]["text"] for n in told_of] == ["armed alpha"]
     assert told_of[0]["subscription"] == 2 and "dropped" not in told_of[0]

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.vehicle.orders import todo_for
 from skygcs.sim.conditions import Conditions, Dynamics
+from skygcs.sim.firmware_modes import CopterMode
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_group import make_vehicles
 from support.sim_pilot import FIELD, Pilot, copter, px4, sim_dialect
+from support.table import each
 
 FORCE = 21196
 BOTH = pytest.mark.parametrize("make", [px4, copter])
@@ -37,6 +42,8 @@ def test_killed_at_14_m_it_crashes_and_neither_arms_nor_lifts_again(make: type[S
     assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE) == mav.MAV_RESULT_ACCEPTED
     pilot.run(8)
     assert vehicle.motion.on_ground and vehicle.motion.crashed and vehicle.landed
+    assert not pilot.last("HEARTBEAT").base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED
+    assert pilot.last("EXTENDED_SYS_STATE").landed_state == mav.MAV_LANDED_STATE_ON_GROUND
     assert abs(pilot.last("ATTITUDE").roll) == pytest.approx(1.57, abs=0.01)
     assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) != mav.MAV_RESULT_ACCEPTED
     assert ("Preflight Fail: Attitude failure (roll)" if make is px4 else "Arm: Leaning") in pilot.texts()
@@ -110,3 +117,62 @@ def test_one_that_has_crashed_is_set_up_by_a_restart_and_flies_again(make: type[
     pilot.run(40)
     pilot.hovering(14.0)
     assert vehicle.armed and vehicle.motion.up_m > 10.0
+
+
+# -- A simulated ArduCopter in a mode for sticks that nobody holds does what Copter::get_pilot_desired_climb_rate and
+# Mode::get_pilot_desired_throttle of 4.6 and 4.7 say: it falls, sinks, drifts or stays.
+
+
+HEIGHT_M = 20.0
+
+
+def flown(mode: CopterMode, *, throttle_down: bool, seconds: float) -> tuple[float, float]:
+    """How far it sank, and drifted with 5 m/s of wind."""
+    (vehicle,) = make_vehicles(
+        sim_dialect(),
+        px4=0,
+        ardupilot=1,
+        first_sysid=1,
+        home=FIELD,
+        conditions=Conditions(wind_enu_mps=(5.0, 0.0, 0.0)),
+    )
+    pilot = Pilot(vehicle)
+    pilot.hovering(HEIGHT_M)
+    pilot.run(10)
+    vehicle.faults.throttle_down = throttle_down
+    began = vehicle.motion.pos_enu_m
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, mode) == mav.MAV_RESULT_ACCEPTED
+    pilot.run(seconds)
+    now = vehicle.motion.pos_enu_m
+    return began[2] - now[2], hypot(now[0] - began[0], now[1] - began[1])
+
+
+@each(
+    ("mode", "throttle_down", "sinks_m", "drifts"),
+    [
+        (CopterMode.STABILIZE, False, (8.0, HEIGHT_M), False),
+        (CopterMode.ACRO, True, (8.0, HEIGHT_M), False),
+        (CopterMode.ALT_HOLD, False, (-0.5, 0.5), True),
+        (CopterMode.ALT_HOLD, True, (4.0, 8.5), True),
+        (CopterMode.GUIDED_NOGPS, True, (-0.5, 0.5), True),
+        (CopterMode.LOITER, False, (-0.5, 0.5), False),
+        (CopterMode.LOITER, True, (4.0, 8.5), False),
+    ],
+)
+def test_without_hands_on_the_sticks(
+    mode: CopterMode, throttle_down: bool, sinks_m: tuple[float, float], drifts: bool
+) -> None:
+    sank_m, drifted_m = flown(mode, throttle_down=throttle_down, seconds=3.0)
+    assert sinks_m[0] <= sank_m <= sinks_m[1], (sank_m, drifted_m)
+    if mode not in (CopterMode.STABILIZE, CopterMode.ACRO):  # a falling one drifts as it likes
+        assert (drifted_m > 1.0) is drifts, (sank_m, drifted_m)
+
+
+def test_on_the_ground_nothing_moves() -> None:
+    vehicle = copter()
+    pilot = Pilot(vehicle)
+    pilot.get_ready()
+    for mode in (CopterMode.ALT_HOLD, CopterMode.STABILIZE):
+        pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, mode)
+        pilot.run(1)
+        assert abs(vehicle.motion.up_m) < 0.1

@@ -221,19 +221,6 @@ def test_an_attitude_with_its_yaw_rate_is_followed_without_lag(start: Callable[[
 # -- PX4
 
 
-def test_px4_enters_offboard_only_with_a_fresh_attitude_whatever_it_is() -> None:
-    pilot = Pilot(px4())
-    pilot.hovering()
-    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
-    stream(pilot, 0.1, target(0.42))
-    pilot.run(1.1)
-    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_TEMPORARILY_REJECTED, (
-        "COM_OF_LOSS_T is 1 s"
-    )
-    stream(pilot, 0.1, target(0.42))
-    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_ACCEPTED
-
-
 @each("ordered", [False, True])
 def test_a_px4_flies_another_kind_of_target_from_its_next_status_on(ordered: bool) -> None:
     """Twice a second, or with whatever is ordered. Until then it leans on, and nobody controls the position."""
@@ -248,18 +235,6 @@ def test_a_px4_flies_another_kind_of_target_from_its_next_status_on(ordered: boo
     assert (pilot.vehicles[0].motion.roll_rad > 0.15) != ordered
     stream(pilot, 0.5, place)
     assert pilot.vehicles[0].motion.roll_rad < 0.1
-
-
-def test_px4_holds_when_the_stream_ends() -> None:
-    pilot = offboard()
-    pilot.vehicles[0].params.set("COM_OBL_RC_ACT", int_param(5))
-    stream(pilot, 0.5, target(0.42, roll=0.1))
-    pilot.run(0.9)
-    assert px4_mode(pilot) == Px4Mode.OFFBOARD, "COM_OF_LOSS_T is 1 s"
-    pilot.run(0.3)
-    assert px4_mode(pilot) == Px4Mode.LOITER
-    pilot.run(10)
-    assert pilot.vehicles[0].motion.groundspeed_mps < 0.05
 
 
 @each("q", [[nan] * 4, [0.0] * 4])

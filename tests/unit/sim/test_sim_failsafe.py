@@ -49,14 +49,7 @@ def northward(pilot: Pilot, speed_mps: float, seconds: float) -> None:
 def test_an_alarm_goes_off_once_after_its_time_and_again_after_an_end() -> None:
     alarm = ConditionTimer()
     assert [alarm.check(bad, now, 2.0) for now, bad in enumerate([1, 1, 1, 1, 0, 1, 1, 1])] == [
-        False,
-        False,
-        True,
-        False,
-        False,
-        False,
-        False,
-        True,
+        *(False, False, True, False, False, False, False, True),
     ]
 
 

@@ -23,41 +23,15 @@ COSTS = "half of all commands with nasty numbers in each place"
 
 COMMANDS = [value for name, value in vars(protocol).items() if name.startswith("MAV_CMD_")]
 LISTENED_TO = (
-    "HEARTBEAT",
-    "COMMAND_LONG",
-    "COMMAND_INT",
-    "SET_POSITION_TARGET_GLOBAL_INT",
-    "SET_POSITION_TARGET_LOCAL_NED",
-    "SET_ATTITUDE_TARGET",
-    "SET_MODE",
-    "PARAM_SET",
-    "PARAM_REQUEST_READ",
-    "REQUEST_DATA_STREAM",
-    "MISSION_COUNT",
-    "PING",
-    "TIMESYNC",
+    *("HEARTBEAT", "COMMAND_LONG", "COMMAND_INT", "SET_POSITION_TARGET_GLOBAL_INT"),
+    *("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "SET_MODE", "PARAM_SET", "PARAM_REQUEST_READ"),
+    *("REQUEST_DATA_STREAM", "MISSION_COUNT", "PING", "TIMESYNC"),
 )
 NASTY = [0.0, 1.0, -1.0, float("nan"), float("inf"), float("-inf"), 3e38, -3e38, 1e-40, 511.0, 21196.0, 1e10, 2.5e9]
 NAMES = [
-    "MAV_SYS_ID",
-    "SYSID_THISMAV",
-    "WPNAV_ACCEL",
-    "WPNAV_SPEED_UP",
-    "MPC_XY_CRUISE",
-    "SR1_POSITION",
-    "RTL_ALT",
-    "GUID_OPTIONS",
-    "GUID_TIMEOUT",
-    "FENCE_ENABLE",
-    "FENCE_RADIUS",
-    "FS_GCS_ENABLE",
-    "BATT_FS_LOW_ACT",
-    "COM_OF_LOSS_T",
-    "COM_OBL_RC_ACT",
-    "GF_ACTION",
-    "GF_MAX_HOR_DIST",
-    "NAV_DLL_ACT",
-    "NOPE",
+    *("MAV_SYS_ID", "SYSID_THISMAV", "WPNAV_ACCEL", "WPNAV_SPEED_UP", "MPC_XY_CRUISE", "SR1_POSITION", "RTL_ALT"),
+    *("GUID_OPTIONS", "GUID_TIMEOUT", "FENCE_ENABLE", "FENCE_RADIUS", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT"),
+    *("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "GF_ACTION", "GF_MAX_HOR_DIST", "NAV_DLL_ACT", "NOPE"),
 ]
 
 

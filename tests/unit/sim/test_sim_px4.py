@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, isnan, nan, sin
+from math import cos, isnan, nan, sin
 
 import pytest
 from pymavlink import mavutil
@@ -142,22 +142,6 @@ def test_landing_disarms_two_seconds_after_the_landing_is_detected(pilot: Pilot)
     assert pilot.texts()[:1] == ["Landing at current position"]
 
 
-def test_return_climbs_flies_home_and_lands_there(pilot: Pilot) -> None:
-    pilot.hovering(8)
-    lat, lon = pilot.vehicles[0].where.to_geodetic(40.0, 0.0)
-    pilot.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, lat, lon, nan)
-    pilot.run(25)
-    assert pilot.command(mav.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
-    highest = 0.0
-    for _ in range(120):
-        pilot.run(1)
-        highest = max(highest, pilot.vehicles[0].motion.up_m)
-    assert highest == pytest.approx(30, abs=0.5)
-    motion = pilot.vehicles[0].motion
-    assert motion.on_ground and hypot(motion.east_m, motion.north_m) < 0.5
-    assert not pilot.vehicles[0].armed
-
-
 def test_offboard_needs_a_fresh_setpoint_and_falls_back_when_they_end(pilot: Pilot) -> None:
     """offboardCheck.cpp: the newest setpoint is younger than COM_OF_LOSS_T, and no more."""
     pilot.hovering()
@@ -182,21 +166,6 @@ def test_offboard_needs_a_fresh_setpoint_and_falls_back_when_they_end(pilot: Pil
     assert any("offboard" in text for text in pilot.texts())
 
 
-@each("act", [0, 1, 2])
-def test_without_sticks_a_lost_stream_ends_in_a_descent_unless_another_action_is_set(act: int) -> None:
-    """Seen on 1.16.1: killed in a circle it went from 12.4 to 4.5 m in POSCTL, with a failsafe."""
-    pilot = Pilot(px4())
-    pilot.hovering()
-    pilot.vehicles[0].params.set("COM_OBL_RC_ACT", int_param(act))
-    stream(pilot, 1.0, setpoint(z=-10))
-    assert set_mode(pilot, Px4Mode.OFFBOARD) == ACCEPTED
-    stream(pilot, 3.0, setpoint(z=-10))
-    pilot.run(10.0)
-    assert px4_mode(pilot) != Px4Mode.OFFBOARD
-    assert pilot.vehicles[0].motion.up_m < 6.0
-    assert pilot.last("HEARTBEAT").system_status == mav.MAV_STATE_CRITICAL
-
-
 def test_offboard_follows_velocity_yaw_and_global_setpoints(pilot: Pilot) -> None:
     pilot.hovering()
     stream(pilot, 1.5, setpoint(VELOCITY_ONLY, vx=1.0))
@@ -206,17 +175,8 @@ def test_offboard_follows_velocity_yaw_and_global_setpoints(pilot: Pilot) -> Non
     assert (motion.vel_n_mps, motion.vel_e_mps, motion.vel_u_mps) == pytest.approx((2, 1, 0.5), abs=0.05)
     assert motion.yaw_rad == pytest.approx(1.0)
     lat, lon = pilot.vehicles[0].where.to_geodetic(3.0, 4.0)
-    goal = mav.MAVLink_set_position_target_global_int_message(
-        0,
-        1,
-        1,
-        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        POSITION_ONLY,
-        round(lat * 1e7),
-        round(lon * 1e7),
-        14.0,
-        *[0] * 8,
-    )
+    frame, place = mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, (round(lat * 1e7), round(lon * 1e7), 14.0)
+    goal = mav.MAVLink_set_position_target_global_int_message(0, 1, 1, frame, POSITION_ONLY, *place, *[0] * 8)
     stream(pilot, 25, goal)
     assert motion.distance_m(3, 4, 14) < 0.2
 

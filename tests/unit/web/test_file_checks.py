@@ -46,11 +46,8 @@ def test_items_of_a_file_are_placed_in_the_world_of_the_page(origin):
     answer = mission(file={"name": "a.waypoints", "text": text}, origin=origin)
 
     assert answer["ok"] and answer["format"] == "wpl" and answer["holds"] == ["mission"]
-    assert [item["name"] for item in answer["mission"]] == [
-        "MAV_CMD_NAV_TAKEOFF",
-        "MAV_CMD_NAV_WAYPOINT",
-        "MAV_CMD_NAV_RETURN_TO_LAUNCH",
-    ]
+    wanted = ["MAV_CMD_NAV_TAKEOFF", "MAV_CMD_NAV_WAYPOINT", "MAV_CMD_NAV_RETURN_TO_LAUNCH"]
+    assert [item["name"] for item in answer["mission"]] == wanted
     assert [item["xy_m"] is None for item in answer["mission"]] == [True, False, True]
     assert answer["mission"][1]["xy_m"] == pytest.approx([30, -40], abs=0.02)
     assert (answer["mission"][1]["height_m"], answer["mission"][1]["height_above"]) == (12, "home")

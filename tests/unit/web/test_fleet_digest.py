@@ -92,15 +92,8 @@ def test_sites_are_counted_and_what_was_lost_in_the_air_stays_in_the_counts() ->
     fleet = [digest("ours"), digest(), on_ground, digest("south/c", -9.0), silent_on_ground]
     ours, south = count_sites(fleet, 1.0)
     assert (ours["site"], ours["vehicles"], ours["problems"]) == ("", 1, 0)
-    assert south == {
-        "site": "south",
-        "vehicles": 4,
-        "heard": 2,
-        "armed": 2,
-        "in_air": 2,
-        "problems": 2,
-        "oldest_age_s": 10.2,
-    }
+    wanted = {"site": "south", "vehicles": 4, "heard": 2, "armed": 2, "in_air": 2, "problems": 2, "oldest_age_s": 10.2}
+    assert south == wanted
     assert count_sites([digest(links={}, last_heartbeat_age_s=None)], 0.0)[0]["oldest_age_s"] is None
 
 

@@ -153,10 +153,8 @@ async def test_reports_of_an_order_reach_its_page_with_the_pages_own_id(bench: B
     report("order.begun", {"request": 77, "vehicles": ["a", "b"]})
     report("order.outcome", {"request": 77, "vehicle": "a", "outcome": {"ok": True}})
     await asyncio.sleep(0.01)
-    assert [(sent["method"], sent["params"]["request"]) for sent in socket.sent] == [
-        ("order.begun", "s"),
-        ("order.outcome", "s"),
-    ]
+    wanted = [("order.begun", "s"), ("order.outcome", "s")]
+    assert [(sent["method"], sent["params"]["request"]) for sent in socket.sent] == wanted
     # a page that takes nothing gets the rest with the reply
     socket.reads.clear()
     for n in range(3000):

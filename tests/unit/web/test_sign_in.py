@@ -4,8 +4,32 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
+import os
+import socket
+from pathlib import Path
+from typing import Any
 
+import pytest
+
+from skygcs.ext.federation.bridge.station_methods import DESCRIBED
+from skygcs.web import peer_user
+from skygcs.web.peer_user import is_own_user
+from skygcs.web.request_limits import (
+    DEADLINE_MAX_S,
+    MAX_ENDING_WAITING,
+    MAX_MESSAGE_BYTES,
+    MAX_REFUSED,
+    MAX_WAITING,
+    READ_AHEAD_S,
+    READ_MESSAGES_PER_S,
+    REQUEST_BURST,
+    PageLimits,
+    deadline_problem,
+)
+from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, ORDERS, READ, STATION_ORDERS, access, may
 from skygcs.web.sign_in import COOKIE_LIFE_S, MAX_COOKIES, MAX_TOKENS, OPENED_LIFE_S, TOKEN_LIFE_S, SignIn, token_of
+from support.extension_parts import ALL_METHODS
 from support.table import each
 
 
@@ -117,3 +141,140 @@ def test_the_time_between_two_processes_counts_and_a_clock_that_was_set_back_doe
 )
 def test_the_token_of_what_a_person_pastes(text: str, token: str) -> None:
     assert token_of(text) == token
+
+
+# -- Every method of the daemon is sorted in; the role view reads and nothing else.
+
+
+def test_every_method_of_the_daemon_stands_in_one_list() -> None:
+    lists = (READ, ENDS_FLIGHT, ORDERS, NOT_PASSED_ON)
+    assert set().union(*lists) - {"auth"} == set(ALL_METHODS)
+    assert sum(map(len, lists)) == len(set().union(*lists))
+
+
+def test_orders_that_the_daemon_always_takes_have_the_connection_of_their_own() -> None:
+    """What ends a flight is answered when all places are taken: those orders, and what shows what flies."""
+    always = {name for name, method in ALL_METHODS.items() if method.always}
+    assert always - READ - NOT_PASSED_ON <= ENDS_FLIGHT
+
+
+def test_the_role_view_may_read_only() -> None:
+    names = [*ALL_METHODS, "no.such", "", "vehicles.list ", "VEHICLES.LIST", "web.hello"]
+    assert {name for name in names if may("view", name)} == READ
+    assert {name for name in names if may("command", name)} == READ | ENDS_FLIGHT | ORDERS
+    assert access("no.such") == "refused"
+
+
+def test_of_the_station_only_the_outcome_of_an_order_may_be_asked_for_and_not_by_who_only_looks() -> None:
+    assert set(DESCRIBED) >= STATION_ORDERS == {"federation.outcome"}
+    assert {name for name in DESCRIBED if may("command", name)} == STATION_ORDERS
+    assert not any(may("view", name) for name in DESCRIBED)
+
+
+# -- The allowance of one page, and the deadline of an order.
+
+
+def test_a_flood_is_refused_and_stop_is_not_behind_it() -> None:
+    limits = PageLimits(0.0)
+    granted = 0
+    for _ in range(10_000):
+        if limits.begin(0.0, ends_flight=False) is None:
+            granted += 1
+            limits.end(ends_flight=False)
+    assert granted == REQUEST_BURST
+    assert limits.exceeded and limits.refused >= MAX_REFUSED
+    assert limits.begin(0.0, ends_flight=True) is None
+
+
+def test_only_so_many_may_wait_for_their_answer() -> None:
+    limits = PageLimits(0.0)
+    for _ in range(MAX_WAITING):
+        assert limits.begin(0.0, ends_flight=False) is None
+    assert limits.begin(0.0, ends_flight=False) is not None
+    for _ in range(MAX_ENDING_WAITING):
+        assert limits.begin(0.0, ends_flight=True) is None
+    assert limits.begin(0.0, ends_flight=True) is not None
+    limits.end(ends_flight=False)
+    assert limits.begin(0.0, ends_flight=False) is None
+
+
+@each("deadline", [100.0, 100, 103.5, 100.0 + DEADLINE_MAX_S])
+def test_an_order_in_time_is_carried_out(deadline: float) -> None:
+    assert deadline_problem(deadline, 100.0) is None
+
+
+@each(
+    "deadline",
+    [
+        None,
+        True,
+        "103",
+        [],
+        99.99,
+        -1e300,
+        0,
+        100.0 + DEADLINE_MAX_S + 0.01,
+        1e300,
+        math.inf,
+        math.nan,
+        10**400,
+        -(10**400),
+    ],
+)
+def test_an_order_without_a_deadline_or_after_it_is_not(deadline: object) -> None:
+    assert deadline_problem(deadline, 100.0) is not None
+
+
+def test_a_page_is_read_from_at_a_pace_that_a_person_never_reaches() -> None:
+    limits = PageLimits(0.0)
+    assert not any(limits.pause_s(200, at / 50) for at in range(10_000)), "fifty messages a second for minutes"
+    flood = PageLimits(0.0)
+    now, read = 0.0, 0
+    while now < 10.0:
+        read += 1
+        now += flood.pause_s(40, now)
+    assert read <= READ_MESSAGES_PER_S * (10.0 + READ_AHEAD_S) + 1
+    large = PageLimits(0.0)
+    assert [large.pause_s(MAX_MESSAGE_BYTES, 0.0) > 0 for _ in range(4)] == [False, False, True, True]
+    assert large.pause_s(0, 60.0) == 0.0
+
+
+# -- Whose program is at the other end of a connection, by the kernel's own tables.
+
+
+class Transport:
+    """One end of a connection, as asyncio's transports show it."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._names = {"sockname": sock.getsockname(), "peername": sock.getpeername()}
+
+    def get_extra_info(self, name: str) -> Any:
+        return self._names[name]
+
+
+@each("host", ["127.0.0.1", "::1"])
+def test_a_program_of_this_user_is_known_and_one_of_another_is_not(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, 0), family=family)
+    except OSError:
+        pytest.skip(f"this machine has no {host}")
+    with listener, socket.create_connection(listener.getsockname()[:2]) as ours:
+        accepted, _ = listener.accept()
+        with accepted:
+            assert is_own_user(Transport(accepted))
+            own = os.geteuid()
+            monkeypatch.setattr(os, "geteuid", lambda: own + 1)
+            assert not is_own_user(Transport(accepted))
+            assert ours.getsockname()[:2] == accepted.getpeername()[:2]
+
+
+def test_a_connection_from_another_machine_is_nobodys(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.create_connection(listener.getsockname()) as ours:
+        accepted, _ = listener.accept()
+        with accepted:
+            there = Transport(accepted)
+            there._names["peername"] = ("192.0.2.7", ours.getsockname()[1])
+            assert not is_own_user(there)
+            monkeypatch.setattr(peer_user, "TABLES", (str(tmp_path / "none"),))
+            assert not is_own_user(Transport(accepted))

@@ -159,10 +159,8 @@ def test_up_of_a_fleet_without_companions_needs_no_ssh(plain: Field, table: str)
     done = plain.run("up", "--wait", "0", "--json")
     report = json.loads(done.stdout)
     assert done.exit_code == 3, done.stderr  # no daemon, which is all that is missing
-    assert {name: list(outcome["stages"]) for name, outcome in report["vehicles"].items()} == {
-        "alpha": ["heard"],
-        "bravo": ["heard"],
-    }
+    wanted = {"alpha": ["heard"], "bravo": ["heard"]}
+    assert {name: list(outcome["stages"]) for name, outcome in report["vehicles"].items()} == wanted
 
 
 def test_up_of_vehicles_without_a_computer_needs_no_ssh_in_a_fleet_that_has_some(plain: Field) -> None:

@@ -6,6 +6,7 @@ import random
 
 from skygcs.core.protocols.command import Outcome
 from skygcs.ext.companions.order_book import MAX_KEPT, REPLACED, Fresh, Known, OrderBook, Refused
+from skygcs.ext.companions.relayed_order import LEAST_REPEAT_S, MOST_REPEAT_S, RelayedOrder, unknown
 from support.table import each
 
 DONE = Outcome(True, "accepted", "done")
@@ -92,3 +93,20 @@ def test_in_a_network_that_loses_repeats_and_reorders_nothing_is_done_twice_or_o
             if rng.random() < 0.8:
                 of.ended("g1", number, DONE)
     assert done == sorted(set(done)) and len(done) > 10
+
+
+# -- How long a relayed order is asked for.
+
+
+def test_it_is_asked_again_after_a_round_trip_until_patience_is_over() -> None:
+    order = RelayedOrder(1, "s", start_by=3.0, give_up_at=7.0)
+    assert order.wait_s(0.0, 0.01) == LEAST_REPEAT_S
+    assert order.wait_s(0.0, 1.6) == 2.0
+    assert order.wait_s(0.0, None) == order.wait_s(0.0, 60.0) == MOST_REPEAT_S
+    assert order.wait_s(6.9, 1.6) == 7.0 - 6.9
+    assert order.wait_s(7.0, 0.01) is None
+
+
+def test_an_unknown_outcome_says_so() -> None:
+    outcome = unknown("no answer came", 7.0)
+    assert not outcome.ok and "not known" in outcome.message and outcome.elapsed_s == 7.0

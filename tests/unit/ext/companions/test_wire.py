@@ -25,18 +25,8 @@ ANYTHING = st.recursive(
     max_leaves=12,
 )
 KEYS = (
-    "place",
-    "vel_enu_mps",
-    "acc_enu_mps2",
-    "yaw_enu_rad",
-    "free_xy",
-    "kind",
-    "number",
-    "order",
-    "at_s",
-    "thrust",
-    "attitude_ned_frd",
-    "lat_deg",
+    *("place", "vel_enu_mps", "acc_enu_mps2", "yaw_enu_rad", "free_xy", "kind"),
+    *("number", "order", "at_s", "thrust", "attitude_ned_frd", "lat_deg"),
 )
 
 

@@ -278,14 +278,6 @@ def server_context(authority: Authority, address: str) -> ssl.SSLContext:
     return context
 
 
-async def test_a_stream_over_tls(authority: Authority) -> None:
-    tls = server_context(authority, "127.0.0.1")
-    conduct = streams(EPOCHS[:5], revision=2, then_s=5.0)
-    async with at_work(conduct, tls=tls, scheme="ntrips", ca_file=authority.file) as (bench, _):
-        await asyncio.sleep(7.0)
-        assert bytes(bench.sent) == b"".join(EPOCHS[:5])
-
-
 @pytest.mark.parametrize("wrong", ["name", "authority", "system"])
 async def test_a_certificate_that_is_not_the_casters_is_refused(
     tmp_path: Path, authority: Authority, wrong: str
@@ -328,10 +320,8 @@ async def test_the_password_is_sent_and_shown_nowhere(tmp_path: Path, monkeypatc
         refusal = says(b"HTTP/1.1 401 Unauthorized\r\n\r\n")
         async with at_work(refusal, streams(EPOCHS), **keys) as (bench, caster):
             await asyncio.sleep(62.0)
-            assert [b"Authorization: Basic YWRhOnRvcHMzY3JldA==" in client.request for client in caster.clients] == [
-                True,
-                True,
-            ]
+            sent = [b"Authorization: Basic YWRhOnRvcHMzY3JldA==" in client.request for client in caster.clients]
+            assert sent == [True, True]
             shown = f"{bench.status} {bench.events} {bench.config} {bench.source.name}"
             assert "tops3cret" not in shown and "YWRhOnRvcHMzY3JldA" not in shown
             assert "user or password is wrong" in bench.events[0].text

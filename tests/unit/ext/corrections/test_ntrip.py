@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import base64
 from email.parser import BytesParser
+from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
+from pynmeagps import NMEAReader
 
 from skygcs.errors import LinkError
 from skygcs.ext.corrections import ntrip
+from skygcs.ext.corrections.chunked import MAX_CHUNK_BYTES, MAX_SIZE_LINE_BYTES, ChunkedDecoder
+from skygcs.ext.corrections.gga import GgaPosition, chosen_place, gga_sentence
 from skygcs.ext.corrections.ntrip import (
     MAX_COMPARED,
     MAX_HEAD_BYTES,
@@ -90,14 +94,6 @@ def test_a_chunked_stream(cut: int, chunk: int) -> None:
     assert read(*(whole[at : at + cut] for at in range(0, len(whole), cut)))[0] == STREAM
 
 
-def test_the_last_chunk_ends_the_stream() -> None:
-    answer = NtripAnswer(MOUNT)
-    assert answer.feed(CHUNKED + chunked(STREAM)) == STREAM
-    with pytest.raises(LinkError, match="ended the stream") as ended:
-        answer.feed(b"0\r\n\r\n")
-    assert not isinstance(ended.value, RefusedByCaster)
-
-
 # -- refusals
 
 
@@ -132,12 +128,6 @@ def test_a_refusal_says_what_to_do(said: bytes, why: str) -> None:
 def test_a_missing_password_is_told_from_a_wrong_one() -> None:
     with pytest.raises(RefusedByCaster, match=r"needs a password.*password_file"):
         read(b"HTTP/1.1 401 Unauthorized\r\n\r\n", with_password=False)
-
-
-def test_trouble_of_the_caster_is_no_refusal() -> None:
-    with pytest.raises(LinkError, match="503 Service Unavailable") as trouble:
-        read(b"HTTP/1.1 503 Service Unavailable\r\n\r\n")
-    assert not isinstance(trouble.value, RefusedByCaster)
 
 
 @each(
@@ -202,3 +192,123 @@ def test_a_wrong_name_is_compared_with_a_bounded_number_of_a_table(monkeypatch: 
     with pytest.raises(RefusedByCaster, match="its 4096: MOUMT"):
         read(b"SOURCETABLE 200 OK\r\n" + table + b"ENDSOURCETABLE\r\n")
     assert [len(known) for known in compared] == [MAX_COMPARED]
+
+
+# -- The chunked transfer coding: any pieces, bounds, and what is none.
+
+
+def decoded(*pieces: bytes) -> bytes:
+    decoder = ChunkedDecoder()
+    return b"".join(decoder.feed(piece) for piece in pieces)
+
+
+def test_the_example_of_the_standard() -> None:
+    coded = b"4\r\nWiki\r\n7;name=value\r\npedia i\r\nB\r\nn \r\nchunks.\r\n0\r\nTrailer: x\r\n\r\n"
+    assert decoded(coded) == b"Wikipedia in \r\nchunks."
+
+
+@given(
+    chunks=st.lists(st.binary(min_size=1, max_size=600), max_size=6),
+    cuts=st.lists(st.integers(1, 40), min_size=1, max_size=20),
+    upper=st.booleans(),
+)
+def test_any_chunks_in_any_pieces(chunks: list[bytes], cuts: list[int], upper: bool) -> None:
+    template = b"%X\r\n%s\r\n" if upper else b"%x\r\n%s\r\n"
+    coded = b"".join(template % (len(chunk), chunk) for chunk in chunks) + b"0\r\n\r\n"
+    pieces, at = [], 0
+    while at < len(coded):
+        size = cuts[len(pieces) % len(cuts)]
+        pieces.append(coded[at : at + size])
+        at += size
+    decoder = ChunkedDecoder()
+    assert b"".join(decoder.feed(piece) for piece in pieces) == b"".join(chunks)
+    assert decoder.state == "ended"
+    assert decoder.feed(b"anything") == b""
+
+
+@given(st.binary(max_size=3000))
+def test_garbage_is_refused_or_read_and_never_kept(data: bytes) -> None:
+    decoder = ChunkedDecoder()
+    try:
+        for byte in data:
+            decoder.feed(bytes([byte]))
+    except LinkError:
+        pass
+    assert len(decoder._line) <= MAX_SIZE_LINE_BYTES + 1
+
+
+@each(
+    ("coded", "why"),
+    [
+        (b"zz\r\n", "without its size"),
+        (b"\r\n", "without its size"),
+        (b"-4\r\nabcd", "without its size"),
+        (b"0x4\r\nabcd", "without its size"),
+        (b"4\r\nabcdef\r\n", "longer than it says"),
+        (b"1" * (MAX_SIZE_LINE_BYTES + 1), "a line of more than"),
+        (b"4;" + b"x" * 5000, "a line of more than"),
+        (b"FFFFFFFFFFFFFFFF\r\n", "a chunk of 18446744073709551615 bytes"),
+        (b"%x\r\n" % (MAX_CHUNK_BYTES + 1), "no caster sends more"),
+    ],
+)
+def test_what_is_no_chunk_is_refused(coded: bytes, why: str) -> None:
+    with pytest.raises(LinkError, match=why):
+        decoded(coded)
+    with pytest.raises(LinkError, match=why):
+        decoded(*(bytes([byte]) for byte in coded))
+
+
+# -- GGA sentences against pynmeagps, and the vehicle whose position they are.
+
+
+@given(
+    lat=st.floats(-90, 90),
+    lon=st.floats(-180, 180),
+    alt=st.floats(-400, 9000),
+    utc_s=st.floats(0, 2**32),
+    satellites=st.integers(0, 200),
+)
+@example(lat=-0.9999999999, lon=179.9999999999, alt=0.0, utc_s=86399.999, satellites=0)
+@example(lat=59.99999999999, lon=-1e-12, alt=-0.001, utc_s=0.0, satellites=12)
+def test_an_independent_parser_reads_the_place(
+    lat: float, lon: float, alt: float, utc_s: float, satellites: int
+) -> None:
+    raw = gga_sentence(GgaPosition("a", lat, lon, alt, satellites), utc_s)
+    parsed: Any = NMEAReader.parse(raw)  # it checks the checksum
+    assert parsed.msgID == "GGA"
+    assert (float(parsed.lat), float(parsed.lon)) == pytest.approx((lat, lon), abs=2e-8)
+    assert parsed.alt == pytest.approx(alt, abs=0.006)
+    assert parsed.quality == 1 and 4 <= parsed.numSV <= 99
+    second = int(utc_s) % 86400
+    wanted = (second // 3600, second // 60 % 60, second % 60)
+    assert (parsed.time.hour, parsed.time.minute, parsed.time.second) == wanted
+    assert len(raw) <= 84
+
+
+def fix(fix: str | None = "3d", lat: float | None = 1.0, **more: Any) -> dict[str, Any]:
+    return {"fix": fix, "lat_deg": lat, "lon_deg": 2.0, "alt_amsl_m": 3.0, "satellites": 9, **more}
+
+
+def test_the_first_with_a_fix_is_taken_and_stays() -> None:
+    fixes = [("alpha", fix("none")), ("bravo", fix()), ("charlie", fix("rtk_fixed"))]
+    assert chosen_place(fixes) == GgaPosition("bravo", 1.0, 2.0, 3.0, 9)
+    assert chosen_place(fixes, last="charlie") == GgaPosition("charlie", 1.0, 2.0, 3.0, 9)
+    fixes[0] = ("alpha", fix())
+    assert chosen_place(fixes, last="bravo") == GgaPosition("bravo", 1.0, 2.0, 3.0, 9)
+    fixes[1] = ("bravo", fix("2d"))
+    assert chosen_place(fixes, last="bravo") == GgaPosition("alpha", 1.0, 2.0, 3.0, 9)
+
+
+def test_a_vehicle_that_was_chosen_is_the_only_one() -> None:
+    fixes = [("alpha", fix()), ("bravo", fix("none"))]
+    assert chosen_place(fixes, only="bravo") is None
+    assert chosen_place(fixes, only="alpha") == GgaPosition("alpha", 1.0, 2.0, 3.0, 9)
+
+
+@each("gps", [{}, fix(None), fix("2d"), fix(lat=None), fix(lat=float("nan")), fix(lat=91.0), fix(lon_deg=None)])
+def test_what_is_no_position_is_not_sent(gps: dict[str, Any]) -> None:
+    assert chosen_place([("alpha", gps)]) is None
+
+
+def test_a_place_without_height_or_satellites() -> None:
+    assert chosen_place([("a", fix(alt_amsl_m=None, satellites=None))]) == GgaPosition("a", 1.0, 2.0, 0.0, 12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -9,9 +10,13 @@ from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from skygcs.ext.logs.flight_plot import _looks, flight_figure, read_flight
+from skygcs.ext.logs.trace_figures import p95, trace_figures
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
 from skygcs.tlog.selection import Selection
@@ -102,12 +107,8 @@ def test_the_page_needs_nothing_else_and_shows_texts_as_text(tmp_path: Path) -> 
     assert all(link.startswith("#") for link in page.links)
     assert not re.search(r"(src|href)=.https?://", out.read_text())
     for word in (
-        "<script>alert(1)</script> $x$",
-        "critical",
-        "GUIDED",
-        "LAND",
-        "<b>$\\frac{$.tlog",
-        "3 bytes belong to no record",
+        *("<script>alert(1)</script> $x$", "critical", "GUIDED"),
+        *("LAND", "<b>$\\frac{$.tlog", "3 bytes belong to no record"),
     ):
         assert word in page.text, word
     assert page.tags.count("input") == 1
@@ -170,3 +171,28 @@ def test_what_can_not_be_drawn_says_why(tmp_path: Path, monkeypatch: pytest.Monk
     assert "59 vehicles; choose up to 36 with --vehicle" in " ".join(run(crowd, code=FAILED).stderr.split())
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "pip install 'skygcs[plot]'" in " ".join(run(crowd, code=FAILED).stderr.split())
+
+
+# -- Figures of a trace against numpy's, and what they mean.
+
+
+distances = st.lists(st.one_of(st.floats(0, 1e3), st.just(math.nan)), max_size=60)
+
+
+@given(distances, distances)
+def test_figures_are_numpys_and_nan_is_nothing(errors_m: list[float], ages_ms: list[float]) -> None:
+    measured = trace_figures(len(errors_m), 1.0, errors_m, ages_ms, None)
+    known = numpy.array([error for error in errors_m if not math.isnan(error)])
+    if not len(known):
+        assert math.isnan(measured.rms_error_m) and math.isnan(measured.p95_error_m)
+        assert math.isnan(measured.largest_error_m)
+        return
+    assert measured.rms_error_m == pytest.approx(numpy.sqrt(numpy.mean(known**2)))
+    assert measured.largest_error_m == known.max()
+    assert measured.p95_error_m in known
+    assert numpy.mean(known <= measured.p95_error_m) >= 0.95
+
+
+def test_p95_of_a_hundred_is_the_96th() -> None:
+    assert p95([float(n) for n in range(100)]) == 95.0
+    assert math.isnan(p95([]))

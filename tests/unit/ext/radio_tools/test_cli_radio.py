@@ -44,12 +44,8 @@ def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: P
     (tmp_path / "fleet.toml").write_text(FLEET)
     words = ("provision", tmp_path / "fleet.toml", "--nodes", "4", "--net-id", "5", "--set", "TXPOWER=20", "--json")
     answer = json.loads(run(*words))
-    assert [(row["node"], row["for"]) for row in answer["plan"]] == [
-        (1, "ground"),
-        (2, "zulu"),
-        (3, "alpha"),
-        (4, "spare"),
-    ]
+    wanted = [(1, "ground"), (2, "zulu"), (3, "alpha"), (4, "spare")]
+    assert [(row["node"], row["for"]) for row in answer["plan"]] == wanted
     settings = answer["plan"][0]["settings"]
     assert (settings["SERIAL_SPEED"], settings["RTSCTS"], settings["NETID"], settings["TXPOWER"]) == (115, 1, 5, 20)
     assert run(*words) == run(*words)

@@ -22,12 +22,7 @@ def test_the_page_gets_its_table() -> None:
         map=WebMapConfig(image=Path("i"), points=points),
     )
     args = new_parser().parse_args(web_arguments(table, SOCKET))
-    assert (args.socket, args.host, args.port, args.name, args.tls_cert) == (
-        str(SOCKET),
-        "10.0.0.1",
-        80,
-        ["field"],
-        Path("c"),
-    )
+    wanted = (str(SOCKET), "10.0.0.1", 80, ["field"], Path("c"))
+    assert (args.socket, args.host, args.port, args.name, args.tls_cert) == wanted
     assert args.supervised and len(args.map_point) == 2 and args.tiles == Path("t x.mbtiles")
     assert page_address(table) == "https://10.0.0.1:80/"

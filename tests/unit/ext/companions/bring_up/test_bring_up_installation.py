@@ -71,13 +71,8 @@ async def test_everything_is_done_in_order_and_nothing_is_started(field: Field) 
     session = field.session
     assert [offset for _, offset in session.uploads] == [0]
     order = [
-        "sha256sum",
-        "--no-index",
-        "check",
-        "current.new",
-        "companion identity",
-        "companion pin",
-        "service install",
+        *("sha256sum", "--no-index", "check", "current.new"),
+        *("companion identity", "companion pin", "service install"),
     ]
     at = [next(i for i, command in enumerate(session.commands) if part in command) for part in order]
     assert at == sorted(at)

@@ -88,10 +88,8 @@ async def test_an_order_is_recorded_carried_out_once_and_answered(tmp_path: Path
     assert (await home.give(order))["status"] == "done"
     assert daemon.orders == [("alpha", "vehicles.land", 1.0)]
     assert daemon.recorded == [1]  # before it began
-    assert [(s, r["status"], r["by"]) for s, r in home.published] == [
-        ("audit.north", "running", "mia@south"),
-        ("audit.north", "done", "mia@south"),
-    ]
+    wanted = [("audit.north", "running", "mia@south"), ("audit.north", "done", "mia@south")]
+    assert [(s, r["status"], r["by"]) for s, r in home.published] == wanted
     await home.taken.close()
 
 

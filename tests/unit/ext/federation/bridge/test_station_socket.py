@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
+import tempfile
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -12,11 +14,15 @@ from typing import Any
 
 import pytest
 
+from skygcs.config.models import FleetConfig
 from skygcs.errors import DaemonUnreachable, RefusedError, RpcError
 from skygcs.ext.federation.bridge import station_client, station_socket
+from skygcs.ext.federation.bridge.nkeys_files import write_new_seed
+from skygcs.ext.federation.bridge.process import FederationOptions, FederationProcess
 from skygcs.ext.federation.bridge.remote_feed import RemoteFeed
-from skygcs.ext.federation.bridge.station_methods import station_methods
+from skygcs.ext.federation.bridge.station_methods import DESCRIBED, station_methods
 from skygcs.ext.federation.bridge.station_socket import StationSocket
+from skygcs.ext.federation.config import FederationConfig
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from skygcs.ext.federation.protocol.site_names import SiteTargets
 from skygcs.ext.federation.protocol.state_batch import StateBatch, row_from_state
@@ -26,6 +32,7 @@ from skygcs.rpc.json_lines import OrderReports
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
 from support.hub import until
+from support.rpc_reference import reference
 
 OK = {"ok": True, "result": "accepted", "message": "done there", "attempts": 1, "elapsed_s": 0.1, "status_texts": []}
 
@@ -422,3 +429,31 @@ async def test_groups_that_only_other_sites_have_can_be_asked_for_everywhere(tmp
                 break
         assert seen["alpha"] == {"name", "sysid", "connected"}
         assert seen["south/alpha"] == {"name", "sysid", "site", "age_s"}
+
+
+# -- docs/reference/rpc.md says what the methods of the station socket say.
+
+
+PAGE = Path(__file__).parents[5] / "docs" / "reference" / "rpc.md"
+
+
+async def described(folder: Path) -> str:
+    """Of a site that has everything."""
+    write_new_seed(folder / "north.nk")
+    table = {"site": "north", "servers": ["nats://127.0.0.1:4222"], "nkey": str(folder / "north.nk")}
+    found = FederationConfig.model_validate({**table, "vehicles": {"alpha": {"home": "north"}}})
+    fleet = FleetConfig(extensions={"federation": found})
+    process = FederationProcess(fleet, FederationOptions(str(folder / "d.sock")))
+    assert DESCRIBED.keys() <= process.station.methods.keys()
+    return reference(station_methods(process.station.methods).values())
+
+
+async def test_every_method_of_the_station_is_described_as_it_is(tmp_path: Path) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert await described(tmp_path) in text
+    assert f"| clients of the station socket | {station_socket.MAX_CLIENTS} |" in text
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as made:
+        sys.stdout.write(asyncio.run(described(Path(made))))

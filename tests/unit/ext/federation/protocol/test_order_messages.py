@@ -102,13 +102,8 @@ def test_a_record_is_one_line_and_is_remembered(by: str, text: str, params: dict
     assert b"\n" not in line and len(line) <= audit.MAX_LINE_BYTES
     (read,) = audit.remembered([line])
     assert read is not None
-    assert (read.reply.status, read.deadline_s, read.noted_s, read.vehicle, read.seq) == (
-        "failed",
-        12.0,
-        10.5,
-        "alpha",
-        3,
-    )
+    wanted = ("failed", 12.0, 10.5, "alpha", 3)
+    assert (read.reply.status, read.deadline_s, read.noted_s, read.vehicle, read.seq) == wanted
     assert list(audit.remembered([line[:-1], b"", b"[]", b"\xff"])) == [None] * 4
 
 

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import math
 from typing import Any
 
+import pymap3d
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic_core import from_json
 
 from skygcs.core.geo import Origin, enu_from_geodetic
+from skygcs.errors import TargetError
 from skygcs.ext.federation.protocol import remote_sites
+from skygcs.ext.federation.protocol.origin_shift import velocity_in, yaw_in
+from skygcs.ext.federation.protocol.received_json import MAX_INTEGER, MAX_TEXT_CHARS, cleaned, printable
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
+from skygcs.ext.federation.protocol.site_names import name_of_token, select_at, split_by_site, subject_token
 from skygcs.ext.federation.protocol.state_batch import StateBatch, VehicleRow, row_from_state
+from support.table import each
 
 AHEAD_S = 1.79e9
 """The other site's clock is so far ahead of ours in these tests."""
@@ -147,12 +156,6 @@ def test_positions_are_in_the_own_frame() -> None:
     assert alpha(heard(), 100.0)["position"]["enu_m"] is None
 
 
-def test_a_vehicle_that_is_no_longer_sent_is_gone() -> None:
-    sites = heard()
-    sites.take(batch(2, 100.1, row("bravo")), 100.1)
-    assert sites.state("south", "alpha", 100.1, None) is None
-
-
 def test_sites_are_bounded_and_the_one_that_was_silent_for_an_hour_makes_room() -> None:
     sites = RemoteSites("north", "mine")
     for i in range(remote_sites.MAX_SITES):
@@ -179,3 +182,149 @@ def test_no_order_of_arrival_makes_a_state_look_younger_than_it_is(packets: list
     assert offset is not None and state["age_s"] >= now - newest - offset.error_s - 2e-3
     if state["connected"]:
         assert now - newest <= remote_sites.SILENT_AFTER_S + offset.error_s + 2e-3
+
+
+# -- Targets of several sites: which part goes to which site, and what is refused.
+
+
+SITES = ("south", "east")
+
+
+def site_row(sysid: int, name: str, *groups: str) -> VehicleRow:
+    made = row_from_state({"name": name, "sysid": sysid, "compid": 1, "groups": list(groups)})
+    assert made is not None
+    return made
+
+
+@each(
+    ("expression", "own", "others", "changed"),
+    [
+        ("all", ("all",), {}, False),
+        ("alpha, 2-5", ("alpha", "2-5"), {}, False),
+        (7, ("7",), {}, False),
+        ("7/191,alpha/191,all/100", ("7/191", "alpha/191", "all/100"), {}, False),
+        ("south/alpha", (), {"south": ("alpha",)}, True),
+        (["south/1-5", "bravo", "south/all"], ("bravo",), {"south": ("1-5", "all")}, True),
+        ("north/alpha", ("alpha",), {}, True),
+        ("south/7/191", (), {"south": ("7/191",)}, True),
+        ("south/3", (), {"south": ("3",)}, True),
+    ],
+)
+def test_each_part_goes_to_its_site(
+    expression: str, own: tuple[str, ...], others: dict[str, tuple[str, ...]], changed: bool
+) -> None:
+    found = split_by_site(expression, "north", SITES)
+    assert (found.own, dict(found.others), found.changed, found.every) == (own, others, changed, False)
+
+
+@each("expression", ["*/all", "all sites", ["alpha", "*/all"]])
+def test_every_site_means_the_own_one_and_those_that_come_later_too(expression: str) -> None:
+    found = split_by_site(expression, "north", SITES)
+    assert "all" in found.own
+    assert found.others == {"south": ("all",), "east": ("all",)}
+    assert found.every and found.changed
+
+
+@each(
+    ("expression", "words"),
+    [
+        ("west/alpha", "no site 'west' has been heard; there are: east, north, south"),
+        ("*/alpha", "only */all names every site"),
+        ("south/", "all vehicles of a site: south/all"),
+        ("", "no target given"),
+    ],
+)
+def test_what_names_nothing_is_refused_with_what_there_is(expression: str, words: str) -> None:
+    with pytest.raises(TargetError) as error:
+        split_by_site(expression, "north", SITES)
+    assert words in str(error.value)
+
+
+def test_a_part_is_read_at_its_site_as_a_daemon_reads_it() -> None:
+    rows = [site_row(3, "carol"), site_row(1, "alpha", "red"), site_row(2, "bravo", "red")]
+    assert [v.name for v in select_at("south", ["red"], rows)] == ["alpha", "bravo"]
+    assert [v.name for v in select_at("south", ["2-9"], rows)] == ["bravo", "carol"]
+    assert [v.name for v in select_at("south", ["all"], rows)] == ["alpha", "bravo", "carol"]
+    assert select_at("south", ["all"], []) == []
+    with pytest.raises(TargetError, match="south: no vehicle 'delta'"):
+        select_at("south", ["delta"], rows)
+
+
+@given(st.text(min_size=1, max_size=40))
+def test_a_name_becomes_one_token_of_a_subject_and_comes_back(name: str) -> None:
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return
+    token = subject_token(name)
+    assert token.isascii() and not set(token) & set(" .*>/\r\n\t")
+    assert name_of_token(token) == name
+
+
+@given(st.text(alphabet="ab=4F2e0.é", max_size=8))
+def test_only_what_is_written_so_is_read_as_a_name(token: str) -> None:
+    try:
+        name = name_of_token(token)
+    except ValueError:
+        return
+    assert subject_token(name) == token
+
+
+# -- Velocities and headings of another site in the own frame, against pymap3d.
+
+
+latitudes, longitudes = st.floats(-75, 75), st.floats(-170, 170)
+apart_deg = st.floats(-0.9, 0.9)
+velocities = st.tuples(*[st.floats(-30, 30)] * 3)
+
+
+@given(latitudes, longitudes, apart_deg, apart_deg, velocities)
+def test_a_velocity_is_the_derivative_of_the_place_in_the_own_frame(
+    lat: float, lon: float, d_lat: float, d_lon: float, velocity: tuple[float, float, float]
+) -> None:
+    """Moved along its own true east, north, up for a second, by pymap3d."""
+    ours = Origin(lat + d_lat, lon + d_lon, 0.0)
+    moved = pymap3d.enu2geodetic(*velocity, lat, lon, 100.0)
+    before = pymap3d.geodetic2enu(lat, lon, 100.0, ours.lat_deg, ours.lon_deg, 0.0)
+    after = pymap3d.geodetic2enu(*moved, ours.lat_deg, ours.lon_deg, 0.0)
+    expected = [float(b - a) for a, b in zip(before, after, strict=True)]
+    assert list(velocity_in(ours, velocity, lat, lon)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_meridians_converge_by_a_degree_and_a_half_over_a_hundred_kilometres_at_sixty_north() -> None:
+    ours = Origin(60.0, 10.0, 0.0)
+    east_100_km_deg = math.degrees(100_000.0 / (6_378_137.0 * math.cos(math.radians(60.0))))
+    turned = math.degrees(yaw_in(ours, 0.0, 60.0, 10.0 + east_100_km_deg))
+    assert turned == pytest.approx(math.degrees(100_000.0 / 6_378_137.0) * math.tan(math.radians(60.0)), abs=0.02)
+
+
+def test_a_heading_at_the_origin_is_turned_by_its_axes_only() -> None:
+    ours = Origin(48.0, 11.0, 500.0, x_heading_deg=0.0)
+    assert yaw_in(ours, math.pi / 2, 48.0, 11.0) == pytest.approx(0.0, abs=1e-9)
+
+
+# -- What any site may have written as JSON can be shown and encoded after it is decoded.
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+)
+
+
+@given(values)
+def test_whatever_came_can_be_shown_and_encoded(value: object) -> None:
+    text = json.dumps(cleaned(value), ensure_ascii=False, allow_nan=False)
+    assert text.isprintable()
+    assert cleaned(cleaned(value)) == cleaned(value)
+
+
+def test_numbers_that_pydantic_reads_as_infinity_or_without_bounds_are_dropped() -> None:
+    found = from_json(b'{"a":1e999,"b":[-1e999,1.5],"c":1' + 400 * b"0" + b',"d":true,"e":7}', allow_inf_nan=False)
+    assert cleaned(found) == {"a": None, "b": [None, 1.5], "c": None, "d": True, "e": 7}
+    assert cleaned([MAX_INTEGER, MAX_INTEGER + 1, -MAX_INTEGER - 1]) == [MAX_INTEGER, None, None]
+
+
+def test_texts_are_cut_and_their_control_characters_replaced() -> None:
+    assert cleaned({"\x1b[2J": ["a\nb\u202e", "x" * 5000]}) == {"?[2J": ["a?b?", "x" * MAX_TEXT_CHARS]}
+    assert printable("Öl", 1) == "Ö"

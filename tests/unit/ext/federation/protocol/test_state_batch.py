@@ -163,13 +163,6 @@ def test_a_row_with_one_value_out_of_bounds_is_refused(field: str) -> None:
         decode_batch(json.dumps(good).encode())
 
 
-@each("literal", ["NaN", "Infinity", "1e999"])
-def test_a_number_that_is_none_is_refused(literal: str) -> None:
-    text = encode_batch(batch(row())).replace(b"1790000000.25", literal.encode())
-    with pytest.raises(ValueError):
-        decode_batch(text)
-
-
 def test_fields_and_keys_of_a_later_version_are_left_out() -> None:
     later = json.loads(encode_batch(batch(row())))
     later["weather"] = {"wind_mps": 4}
@@ -201,22 +194,8 @@ def test_ages_grow_and_what_has_none_has_none() -> None:
 
 
 HOSTILE = (
-    "\x1b]0;mine\x07",
-    "a\nb",
-    "\x9b2J",
-    "\u202eevil",
-    "\u2028",
-    "all",
-    "7",
-    "a,b",
-    "a-b",
-    "2-5",
-    "a-2-3",
-    "-2",
-    "a-2\n",
-    "a b",
-    "a/b",
-    "",
+    *("\x1b]0;mine\x07", "a\nb", "\x9b2J", "\u202eevil", "\u2028", "all", "7", "a,b"),
+    *("a-b", "2-5", "a-2-3", "-2", "a-2\n", "a b", "a/b", ""),
 )
 
 
@@ -248,7 +227,7 @@ def test_texts_of_another_site_are_printable(text: str, ascii_only: bool) -> Non
     assert all(one and one.isprintable() for one in (*texts, *shown.groups))
 
 
-@each("number", ["1e999", "-1e999", "1" + 400 * "0", "NaN"])
+@each("number", ["1e999", "-1e999", "1" + 400 * "0", "NaN", "Infinity"])
 def test_numbers_without_bounds_are_refused(number: str) -> None:
     encoded = encode_batch(batch(row())).decode()
     for known in ("1790000000.25", '"seq":17', "43.7806123"):

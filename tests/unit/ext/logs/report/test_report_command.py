@@ -166,14 +166,8 @@ def test_the_plan_is_over_or_beside_what_was_flown(day: Path, tmp_path: Path) ->
 
 def test_alarms_of_the_daemon_are_shown_and_a_broken_list_is_named(day: Path) -> None:
     alarm = {
-        **{
-            "number": 1,
-            "kind": "battery",
-            "vehicle": "alpha",
-            "other": None,
-            "severity": "alarm",
-            "text": "<b>low</b>",
-        },
+        **{"number": 1, "kind": "battery", "vehicle": "alpha", "other": None, "severity": "alarm"},
+        "text": "<b>low</b>",
         **{"raised_unix_s": T0_US / 1e6 + 5, "changed_unix_s": T0_US / 1e6 + 6, "active": False, "count": 3},
         **{"consequences": {}, "acknowledged_by": None, "acknowledged_unix_s": None},
     }

@@ -10,10 +10,16 @@ import pytest
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.plan.straight_flight import straight_trajectories
-from skygcs.core.trajectory import MotionLimits
+from skygcs.core.trajectory import ClockState, MotionLimits, Piece, Trajectory
+from skygcs.errors import RefusedError
+from skygcs.ext.plans.flight.execution import Execution
 from skygcs.ext.plans.flight.flight_situation import Situation
-from skygcs.ext.plans.flight.flight_steps import StepKind, rest_of, steps_of
+from skygcs.ext.plans.flight.flight_steps import FlightStep, StepKind, rest_of, steps_of
+from skygcs.ext.plans.flight.goto_legs import AGAIN_S, STUCK_S, GotoLegs
+from skygcs.ext.plans.flight.guidance import GOTO_SOURCE, GOTO_TUBE_M, Guidance, by_goto, choose, level_or_vertical
+from skygcs.ext.plans.flight.plan_states import OrderKind, PlanState
 from skygcs.ext.plans.flight.preparation import at_speed, prepare, prepare_return, tubes_of, way_down
+from skygcs.ext.plans.flight.sights import Measurement, Tubes
 
 RULE = MarginRule(fixed_m=2.5)
 LIMITS = MotionLimits()
@@ -136,3 +142,170 @@ def test_tubes_are_the_terms_of_the_margin_that_are_about_being_off() -> None:
     faster = tubes_of(at_speed(rule, 2.0), plan)
     assert faster.timed_m["a"] == pytest.approx(0.5 + 2 * LIMITS.speed_mps * 0.25, rel=0.02)
     assert math.isclose(at_speed(rule, 2.0).uncertainty.acceleration_mps2, 0.5)
+
+
+# -- A vehicle whose positions come late is judged by where it was when it reported, not by where it may be by now.
+
+
+TUBES = Tubes({"v1": 1.65}, {"v1": 0.4}, {"v1": 0.4}, 2.0)
+
+
+def flying(*, timed: bool) -> Execution:
+    """Along x with 2 m/s for 10 s; begun, at time 100."""
+    way = Trajectory([Piece(10.0, (0.0, 2.0), (0.0,), (10.0,))])
+    execution = Execution(
+        [FlightStep("leg", StepKind.PLAN, {"v1": way}, timed=timed)], (), TUBES, {"v1": way.start_enu_m}
+    )
+    execution.begin()
+    execution.outcome(OrderKind.ENGAGE, "v1", True, "")
+    for at in (98.0, 99.0, 100.0):
+        execution.tick(at, None, 0.0, {"v1": Measurement((0.0, 0.0, 10.0))})
+    assert execution.state is PlanState.FLYING
+    return execution
+
+
+def test_a_gap_at_the_end_of_a_leg_is_no_trouble() -> None:
+    execution = flying(timed=False)
+    for n in range(1, 9):  # 1.6 s without a position: carried on, it is 2 m beyond the end
+        sight = Measurement((20.0 + 0.3 * n, 0.0, 10.0), 0.2 * n, 2.0, reported_m=(19.8, 0.0, 10.0), before_s=0.2 * n)
+        execution.tick(109.9 + 0.2 * n, ClockState.RUNNING, 9.95, {"v1": sight})
+    assert execution.state is PlanState.FLYING
+
+
+def test_a_gap_is_compared_with_the_reference_of_that_time() -> None:
+    execution = flying(timed=True)
+    for n in range(1, 26):
+        now, s = 100.0 + 0.2 * n, 0.2 * n
+        age_s = max(0.0, now - 103.5)  # the vehicle was last heard then, and turned away from its velocity since
+        seen = 2.0 * (s - age_s)
+        execution.tick(
+            now,
+            ClockState.RUNNING,
+            s,
+            {"v1": Measurement((seen + 9.0, 0.0, 10.0), age_s, 2.0, reported_m=(seen, 0.0, 10.0), before_s=age_s)},
+        )
+    assert execution.state is PlanState.FLYING
+
+
+def test_one_that_was_late_when_it_reported_is_in_trouble() -> None:
+    execution = flying(timed=True)
+    for n in range(1, 16):
+        now, s = 100.0 + 0.2 * n, 0.2 * n
+        sight = Measurement((2.0 * s, 0.0, 10.0), 0.2, 2.0, reported_m=(2.0 * s - 1.0, 0.0, 10.0), before_s=0.2)
+        execution.tick(now, ClockState.RUNNING, s, {"v1": sight})
+    assert execution.state is PlanState.STOPPED and "from its reference" in execution.reason
+
+
+# -- The legs of a step by goto, order by order, and the choice of the way in which a plan is flown.
+
+
+GOAL = (10.0, 0.0, 5.0)
+
+
+def legs() -> GotoLegs:
+    return GotoLegs({"a": GOAL, "b": (0.0, 10.0, 5.0)}, {"a": 0.5, "b": 0.5}, 2.0)
+
+
+def test_an_order_is_given_again_until_it_is_heard_and_finished_is_when_all_stand_at_their_places() -> None:
+    step = legs()
+    assert step.due() == ["a", "b"] and step.due() == []
+    step.ended("a", ok=True, unheard=False, now=0.0)
+    step.ended("b", ok=False, unheard=True, now=0.0)
+    at = {"a": (GOAL, 0.0), "b": ((0.0, 0.0, 5.0), 0.0)}
+    step.look(AGAIN_S - 0.1, at)
+    assert step.due() == [] and step.state is ClockState.RUNNING
+    step.look(AGAIN_S, at)
+    assert step.due() == ["b"] and step.orders == 3
+    step.ended("b", ok=True, unheard=False, now=3.0)
+    # it has accepted, and does not move
+    step.look(3.0 + STUCK_S - 0.1, at)
+    assert step.due() == []
+    step.look(3.0 + STUCK_S, at)
+    assert step.due() == ["b"]
+    step.ended("b", ok=True, unheard=False, now=10.0)
+    step.look(11.0, {**at, "b": ((0.0, 9.8, 5.9), 0.1)})
+    assert step.state is ClockState.FINISHED  # the height counts half
+    step.look(11.2, {**at, "b": (None, 0.1)})
+    assert step.state is ClockState.RUNNING, "one that is not heard has not arrived"
+
+
+def test_a_denied_order_is_no_lost_one() -> None:
+    step = legs()
+    step.due()
+    step.ended("a", ok=False, unheard=False, now=0.0)
+    step.look(60.0, {"a": (GOAL, 0.0), "b": (GOAL, 0.0)})
+    assert step.refused() == ["a"] and step.due() == []
+
+
+def test_a_stop_waits_for_the_holds_and_going_on_orders_every_leg_anew() -> None:
+    step = legs()
+    step.due()
+    for name in ("a", "b"):
+        step.ended(name, ok=True, unheard=False, now=0.0)
+    assert step.stop(["a", "b", "unknown"]) == ["a", "b"] and step.stop(["a"]) == []
+    step.held("a")
+    assert step.state is ClockState.PAUSING
+    step.look(60.0, {"a": (GOAL, 0.0), "b": (GOAL, 0.0)})
+    assert step.due() == [], "nothing is ordered while it is stopped"
+    step.held("b")
+    assert step.state is ClockState.PAUSED
+    step.go_on(without=["b"])
+    assert step.state is ClockState.RUNNING and step.due() == ["a"]
+    step.end()
+    step.go_on()
+    assert step.due() == [] and step.state is ClockState.ABORTED
+
+
+CHOICES = [
+    # by, timed, companions, not streamed → way, or what the refusal says to do
+    ("auto", False, [], [], "setpoints"),
+    ("auto", False, [], ["b"], "goto"),
+    ("auto", True, [], ["b"], "setpoints"),  # and the finding of the link refuses it
+    ("auto", False, ["a", "b"], [], "onboard"),
+    ("auto", True, ["a", "b"], [], "onboard"),
+    ("auto", False, ["a"], ["b"], "setpoints"),
+    ("goto", False, [], [], "goto"),
+    ("goto", True, [], [], "plan make FILE --fleet --kind phased"),
+    ("setpoints", False, [], ["a"], "setpoints"),
+    ("onboard", True, ["a"], [], "plan run FILE --by setpoints"),
+    ("onboard", False, ["a"], [], "plan run FILE --by goto"),
+    ("onboard", False, ["a", "b"], [], "onboard"),
+    ("onboard", False, [], [], "mission"),
+    ("onboard", True, [], [], "plan run FILE --by setpoints"),
+    ("mission", False, ["a", "b"], [], "mission"),
+    ("mission", True, [], [], "plan make FILE --fleet --kind phased"),
+]
+
+
+def test_the_way_is_what_the_links_carry() -> None:
+    for by, timed, companions, narrow, expected in CHOICES:
+        own = {name: name in companions for name in ("a", "b")}
+        case = (by, timed, companions, narrow)
+        if expected in [way.value for way in Guidance]:
+            choice = choose(by, timed=timed, own_companion=own, not_streamed=dict.fromkeys(narrow, "54 B/s"))
+            assert choice.by.value == expected and choice.reason, case
+        else:
+            with pytest.raises(RefusedError, match=expected):
+                choose(by, timed=timed, own_companion=own, not_streamed={})
+
+
+def test_slanted_legs_are_flown_up_and_level_or_level_and_down_and_others_stay() -> None:
+    starts = {"a": (0.0, 0.0, 10.0), "b": (5.0, 0.0, 10.0), "c": (9.0, 0.0, 10.0)}
+    level = Phase("level", {"a": (0.0, 5.0, 10.0)})
+    slanted = Phase("go", {"a": (0.0, 9.0, 14.0), "b": (5.0, 9.0, 6.0)})
+    plan = level_or_vertical(PhasedPlan(starts, (level, slanted)))
+    assert plan.phases == (
+        level,
+        Phase("go: up", {"a": (0.0, 5.0, 14.0)}),
+        Phase("go: level", {"a": (0.0, 9.0, 14.0), "b": (5.0, 9.0, 10.0)}),
+        Phase("go: down", {"b": (5.0, 9.0, 6.0)}),
+    )
+    assert level_or_vertical(plan) == plan
+
+
+def test_legs_by_goto_have_the_tube_of_the_autopilot_unless_a_larger_one_is_known() -> None:
+    known = Uncertainty(tracking_error_m=9.0)
+    rule = by_goto(MarginRule(by_vehicle={"c": known}), {"a": "px4", "b": "ardupilot", "c": "px4", "d": "generic"})
+    tubes = {name: rule.by_vehicle[name].tracking_error_m for name in "abcd"}
+    assert tubes == {"a": GOTO_TUBE_M["px4"], "b": GOTO_TUBE_M["ardupilot"], "c": 9.0, "d": max(GOTO_TUBE_M.values())}
+    assert rule.sources("a")["tracking error p99"] == GOTO_SOURCE
