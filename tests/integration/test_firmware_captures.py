@@ -95,8 +95,7 @@ class Replayed:
 
 async def replay(name: str, tmp_path: Path) -> Replayed:
     daemon = made_daemon(
-        tmp_path,
-        links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
+        tmp_path, links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)}
     )
     found = Replayed()
     daemon.event_log.subscribe(found.events.append)

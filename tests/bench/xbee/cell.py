@@ -18,14 +18,7 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from unittest import mock
 
-from bench.commanded_daemon import (
-    COMMAND_EVERY_S,
-    GET_MESSAGE_INTERVAL,
-    Column,
-    CommandedDaemon,
-    Measured,
-    furnish,
-)
+from bench.commanded_daemon import COMMAND_EVERY_S, GET_MESSAGE_INTERVAL, Column, CommandedDaemon, Measured, furnish
 from bench.monitor.virtual import in_virtual_time
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
