@@ -1,4 +1,4 @@
-"""What the RPC server costs: CPU of its process, beside what was delivered. Times are shown, not asserted.
+"""What the RPC server costs: CPU of the daemon, beside what was delivered. Times are shown, not asserted.
 
 Run by `make bench`; results also in build/bench/rpc.json. Targets: 5,000 small calls a second from one client; 20
 subscribers at 10 Hz to 50 vehicles in a quarter of a core.
@@ -8,13 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -22,35 +17,7 @@ import pytest
 from bench.results import keep
 from support import router_bench as bench
 
-ROOT = bench.ROOT
 VEHICLES, RATE_HZ, SECONDS = 50, 10.0, 5.0
-
-
-class ServerProcess:
-    def __init__(self, socket: Path, process: subprocess.Popen[str]) -> None:
-        self.socket, self.process = socket, process
-
-    def cpu_s(self) -> float:
-        """User and system time so far."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-@contextmanager
-def server(folder: Path, vehicles: int) -> Iterator[ServerProcess]:
-    socket = folder / "s.sock"
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'tests'}:{ROOT / 'tests' / 'bench'}"}
-    command = [sys.executable, "-m", "rpc_server_process", str(socket), str(vehicles)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
-    assert process.stdin and process.stdout
-    try:
-        while process.stdout.readline().strip() != "ready":
-            assert process.poll() is None
-        yield ServerProcess(socket, process)
-    finally:
-        process.stdin.close()
-        process.wait(10)
-        process.stdout.close()
 
 
 async def calls(socket: Path, count: int, window: int) -> float:
@@ -68,13 +35,14 @@ async def calls(socket: Path, count: int, window: int) -> float:
 
 
 def test_small_calls_from_one_client(tmp_path: Path) -> None:
-    with server(tmp_path, 3) as process:
+    with bench.running(bench.skygcs("rpc", keep_vehicles=True, record=False), tmp_path) as daemon:
+        bench.wait_forwarding(daemon, bench.generator(tmp_path), vehicles=3)
         for window in (1, 32):
-            before, count = process.cpu_s(), 20_000 // window * window
-            took = asyncio.run(calls(process.socket, count, window))
-            cpu = process.cpu_s() - before
-            print(f"\n{window:>3} at a time: {count / took:,.0f} calls/s, server {cpu / count * 1e6:.1f} us CPU a call")
-            note(f"calls, {window} at a time", {"per_s": count / took, "server_us": cpu / count * 1e6})
+            before, count = bench.cpu_s(daemon.process.pid), 20_000 // window * window
+            took = asyncio.run(calls(tmp_path / "rpc" / "s", count, window))
+            cpu = bench.cpu_s(daemon.process.pid) - before
+            print(f"\n{window:>3} at a time: {count / took:,.0f} calls/s, daemon {cpu / count * 1e6:.1f} us CPU a call")
+            note(f"calls, {window} at a time", {"per_s": count / took, "daemon_us": cpu / count * 1e6})
 
 
 async def subscribers(socket: Path, count: int, rate_hz: float, seconds: float) -> int:
