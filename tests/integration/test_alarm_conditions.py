@@ -21,8 +21,6 @@ from support.flown import Flown, aloft
 from support.planned import run, state, timed
 from support.pymav import PymavPeer
 
-pytestmark = pytest.mark.looptime
-
 Step = Callable[[Flown], Awaitable[None]]
 
 BATTERY = {"battery_low_percent": 25.0, "battery_critical_percent": 12.0}
@@ -103,9 +101,7 @@ async def a_plan_that_flies(gcs: Flown) -> None:
 
 async def a_wrong_take_off(gcs: Flown) -> None:
     """A station moves home after the height was computed."""
-    await gcs.done("vehicles.land", targets="v2")
-    await gcs.until(lambda: not gcs.sim("v2").armed, 90.0)
-    await asyncio.sleep(3)
+    await gcs.lands("v2")
     await gcs("vehicles.takeoff", targets="v2", height_m=8.0)
     await gcs.until(lambda: gcs.sim("v2").armed and gcs.sim("v2").motion.up_m > 1.0, 60.0)
     gcs.sim("v2").motion.up_m += 9.0

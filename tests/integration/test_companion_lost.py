@@ -17,12 +17,8 @@ from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.companion_pair import Pair, circle, companion_pair, start_circle
 from support.daemons import memory_link
-from support.flown import SETPOINTS
+from support.flown import KINDS, SETPOINTS
 from support.pymav import PymavPeer
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 RETURNING = frozenset({Px4Mode.RTL, CopterMode.RTL})
 LANDING = frozenset({Px4Mode.LAND, CopterMode.LAND})

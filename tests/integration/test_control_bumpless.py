@@ -9,11 +9,8 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.conditions import CALM, Conditions
-from support.flown import Flown, aloft
+from support.flown import KINDS, Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 WIND = Conditions(wind_enu_mps=(3.0, 4.0, 0.0))
 
 

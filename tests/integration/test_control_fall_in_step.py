@@ -13,11 +13,8 @@ from typing import Any
 
 import pytest
 
-from support.flown import aloft
+from support.flown import KINDS, aloft
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 FENCE = {"x_m": [-60, 60], "y_m": [-60, 60], "up_m": [0, 40]}
 SLOW_S = 0.5
 EAST, UP = 0, 2

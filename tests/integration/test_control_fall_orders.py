@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, aloft
+from support.flown import KINDS, Flown, aloft
 from support.virtual_uvloop import VirtualUvloop
 
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 MOMENTS = pytest.mark.parametrize("after_s", [0.0, 0.1, 0.25, 0.4])
 """After the fall; an ArduCopter's handover takes 0.3 s."""
 

@@ -13,8 +13,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from support.daemons import made_daemon
 from support.flown import aloft
 
-pytestmark = pytest.mark.looptime
-
 BY_HAND: dict[str, Any] = {"coordinate_frame": 1, "type_mask": 0xDC7, "vx": 1.0}
 
 

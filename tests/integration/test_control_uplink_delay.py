@@ -7,11 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, aloft
 
 
 @pytest.mark.deep

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-import pytest
-
 from support.order_schedules import memory_schedule
-
-pytestmark = pytest.mark.looptime
 
 
 async def test_schedules_of_faults_against_the_model(tmp_path: Path) -> None:

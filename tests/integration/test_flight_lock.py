@@ -12,12 +12,8 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, aloft, flown
+from support.flown import PAIRS, Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 
 WIND = Conditions(wind_enu_mps=(6.0, 0.0, 0.0))
 
@@ -73,7 +69,7 @@ async def origins_are_refused(gcs: Flown) -> None:
 
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False, conditions=WIND) as gcs:
         starts = {f"v{sim.sysid}": (*gcs.place_of_home(f"v{sim.sysid}")[:2], UP_M) for sim in gcs.sims}
@@ -99,7 +95,7 @@ async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_pat
         await gcs("origin.set", **{**now, "x_heading_deg": 270.0})
 
 
-@KINDS
+@PAIRS
 @pytest.mark.parametrize("flight", ["control", "plan"])
 async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
     tmp_path: Path, kind: dict[str, int], flight: str
@@ -143,7 +139,7 @@ async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
         assert (await set_param(gcs, *LOCKED[family(kind)].popitem(), force=True))["ok"]
 
 
-@KINDS
+@PAIRS
 async def test_a_fence_that_a_flying_vehicle_is_outside_of_is_refused(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind, conditions=WIND) as gcs:
         x, y, up = gcs.place("v1")
@@ -163,7 +159,7 @@ async def test_a_fence_that_a_flying_vehicle_is_outside_of_is_refused(tmp_path: 
         await gcs.until(lambda: any("fence" in text.lower() for text in gcs.texts(since, "statustext")), 10.0)
 
 
-@KINDS
+@PAIRS
 @pytest.mark.parametrize("moved", ["carried off", "switched"])
 async def test_an_airborne_member_that_its_pilot_moved_is_not_sent_to_its_start(
     tmp_path: Path, kind: dict[str, int], moved: str

@@ -17,8 +17,6 @@ from support.extension_parts import ALL_METHODS
 from support.flown import Flown, flown
 from support.planned import UP_M, plan_events, run, state, timed
 
-pytestmark = pytest.mark.looptime
-
 WIND = Conditions(wind_enu_mps=(6.0, 0.0, 0.0))
 
 ASKS: dict[str, list[dict[str, Any]]] = {

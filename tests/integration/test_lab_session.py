@@ -24,8 +24,6 @@ from support.random_orders import apart_m
 
 COSTS = "nine vehicles fly from their pads and home again, three times"
 
-pytestmark = pytest.mark.looptime
-
 PADS = pytest.mark.parametrize("pads_m", [3.0, 3.5, 5.0])
 
 LOW: dict[str, float] = {"RTL_RETURN_ALT": 8.0, "RTL_ALT": 800.0}

@@ -18,8 +18,6 @@ from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, Flown
 from support.grounded import on_the_ground
 
-pytestmark = pytest.mark.looptime
-
 BOTH = pytest.mark.parametrize("name", ["v1", "v2"])
 """v1 is a PX4, v2 an ArduCopter."""
 

@@ -13,8 +13,6 @@ import pytest
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
 
-pytestmark = pytest.mark.looptime
-
 LOSSY = {"type": "memory", "role": "radio", "loss": 0.05, "delay_s": 0.06, "jitter_s": 0.05}
 
 GAP_S = 1.0

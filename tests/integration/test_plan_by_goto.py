@@ -14,8 +14,6 @@ from skygcs.core.plan.fleet_plan import PhasedPlan
 from support.flown import SETPOINTS, Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, run, state, timed
 
-pytestmark = pytest.mark.looptime
-
 COPTER_LOITER = 5
 """ArduCopter's LOITER, which follows the sticks."""
 

@@ -14,8 +14,6 @@ from skygcs.errors import RefusedError
 from support.flown import SETPOINTS, Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, refused, run, state, timed
 
-pytestmark = pytest.mark.looptime
-
 OVER = ("finished", "stopped", "aborted")
 BREAKS_OFF = {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}
 GOES_ON = {"FS_OPTIONS": 18.0, "COM_DLL_EXCEPT": 3.0}

@@ -15,8 +15,6 @@ from skygcs.runtime.preflight_run import Preflight
 from support.flown import Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, load, phased, refused, state, timed
 
-pytestmark = pytest.mark.looptime
-
 Places = dict[str, tuple[float, float, float]]
 
 

@@ -15,14 +15,10 @@ from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight_preparation import way_down
 from skygcs.sim.conditions import Conditions
 from support.called import plans_of
-from support.flown import Flown, aloft, flown
+from support.flown import PAIRS, Flown, aloft, flown
 from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
 
 COSTS = "it flies a dozen plans of several vehicles from the ground to their ends"
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 
 
 def crossing(gcs: Flown) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -33,7 +29,7 @@ def crossing(gcs: Flown) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         starts, goals = crossing(gcs)
@@ -74,7 +70,7 @@ async def test_an_order_to_one_vehicle_stops_all_and_is_named(tmp_path: Path) ->
 
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         since = await midway(gcs)
@@ -95,7 +91,7 @@ async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, ki
         assert gcs.place("v1")[1] > y_m + 2.0
 
 
-@KINDS
+@PAIRS
 async def test_a_lost_vehicle_stops_all_and_is_flown_on_with_when_it_is_heard_again(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
@@ -138,7 +134,7 @@ async def test_a_resume_that_cannot_be_certified_names_the_pair(tmp_path: Path) 
         await gcs.done("vehicles.land", targets="v3")
 
 
-@KINDS
+@PAIRS
 async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         await midway(gcs)
@@ -188,7 +184,7 @@ async def test_a_barrier_that_was_passed_is_enough_for_the_next_step(tmp_path: P
         assert state(gcs) == "finished", (await gcs("plan.status"))["reason"]
 
 
-@KINDS
+@PAIRS
 async def test_a_landing_takes_along_one_that_left_and_holds_but_not_one_that_a_pilot_flies(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:

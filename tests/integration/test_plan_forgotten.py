@@ -10,8 +10,6 @@ import pytest
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, run, state, timed
 
-pytestmark = pytest.mark.looptime
-
 
 async def begun(gcs: Flown) -> None:
     starts = {f"v{sim.sysid}": (*gcs.place_of_home(f"v{sim.sysid}")[:2], UP_M) for sim in gcs.sims}

@@ -7,15 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from unittest import mock
 
-import pytest
-
 from skygcs.core.monitor.departures import Departures
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.flown import aloft, flown
 from support.planned import UP_M, phased, plan_events, run, state
-
-pytestmark = pytest.mark.looptime
 
 
 async def test_an_order_of_a_plan_that_was_not_heard_is_not_given_again_over_a_later_hold(tmp_path: Path) -> None:
@@ -38,9 +34,7 @@ async def test_an_order_of_a_plan_that_was_not_heard_is_not_given_again_over_a_l
 
 async def test_an_order_that_waited_does_not_take_a_vehicle_from_a_later_plan(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=0, ardupilot=3) as gcs:
-        await gcs.done("vehicles.land", targets="v3")
-        await gcs.until(lambda: not gcs.sim("v3").armed, 120.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands("v3")
         await gcs.done("vehicles.takeoff", targets="v3", height_m=25.0)
         (x, y, up), other = gcs.place("v1"), gcs.place("v2")
         goto = asyncio.create_task(gcs("vehicles.goto", targets="v1,v3", enu_m=[x, y - 40.0, up]))

@@ -5,13 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from skygcs.core.mission.item import MissionType
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, load, timed
-
-pytestmark = pytest.mark.looptime
 
 
 def fence_of_30_m(gcs: Flown, *, lists: bool) -> None:

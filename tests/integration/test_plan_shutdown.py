@@ -7,12 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import Flown, flown
+from support.flown import PAIRS, Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 
 
 async def begun(gcs: Flown) -> None:
@@ -25,7 +21,7 @@ def clock_state(gcs: Flown) -> str:
     return "none" if clock is None else str(clock["state"])
 
 
-@KINDS
+@PAIRS
 async def test_while_they_arm_the_armed_are_disarmed_and_nobody_takes_off(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         gcs.uplink_delay_s = 0.6
@@ -37,7 +33,7 @@ async def test_while_they_arm_the_armed_are_disarmed_and_nobody_takes_off(tmp_pa
         assert all(sim.motion.up_m < 0.5 for sim in gcs.sims)
 
 
-@KINDS
+@PAIRS
 @pytest.mark.parametrize(
     "when", ["takeoff", "engaging", "to_starts", "flying", "stopping", "paused", "aborting", "landing"]
 )

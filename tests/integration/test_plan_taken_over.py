@@ -15,8 +15,6 @@ from support.called import plans_of
 from support.flown import Flown, flown
 from support.planned import MARGIN_M, UP_M, least_distance, load, run, state, timed
 
-pytestmark = pytest.mark.looptime
-
 LOITER = (4, 3)
 """PX4's AUTO.LOITER, as a pilot or another station sets it."""
 

@@ -20,8 +20,6 @@ from skygcs.sim.vehicle import SimVehicle
 from support.flown import FIELD, Flown, flown
 from support.planned import MARGIN_M, load, timed
 
-pytestmark = pytest.mark.looptime
-
 EMPTY: dict[str, Any] = {"px4": 0, "takeoff": False}
 
 

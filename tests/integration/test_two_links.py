@@ -12,8 +12,6 @@ import pytest
 from skygcs.core.routing.router import DuplicateFilter
 from support.two_links import two_links
 
-pytestmark = pytest.mark.looptime
-
 
 def p95(ages_s: list[float]) -> float:
     return ages_s[int(0.95 * len(ages_s))]

@@ -14,8 +14,6 @@ from support.called import call
 from support.flown import SETPOINTS
 from support.two_links import Delivered, TwoLinks, two_links
 
-pytestmark = pytest.mark.looptime
-
 GOAL = [20.0, 0.0, 10.0]
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1, "ardupilot": 0}, {"px4": 0, "ardupilot": 1}], ids=str)
 

@@ -12,8 +12,6 @@ import pytest
 from skygcs.core.mavlink import mav_cmd
 from support.two_links import TwoLinks, two_links
 
-pytestmark = pytest.mark.looptime
-
 ONCE = (
     mav_cmd.DO_DIGICAM_CONTROL,
     mav_cmd.IMAGE_START_CAPTURE,
