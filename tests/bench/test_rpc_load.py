@@ -9,13 +9,16 @@ from __future__ import annotations
 import asyncio
 import json
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from bench.results import keep
 from support import router_bench as bench
+from support.process import wait_until
 
 VEHICLES, RATE_HZ, SECONDS = 50, 10.0, 5.0
 
@@ -34,12 +37,21 @@ async def calls(socket: Path, count: int, window: int) -> float:
     return took
 
 
+@contextmanager
+def daemon_of(folder: Path, vehicles: int) -> Iterator[tuple[bench.Running, Path, list[str]]]:
+    """A daemon that hears ``vehicles``, its socket and the load generator. It forwards before it listens to clients."""
+    load, socket = bench.generator(folder), folder / "rpc" / "s"
+    with bench.running(bench.skygcs("rpc", keep_vehicles=True, record=False), folder) as daemon:
+        bench.wait_forwarding(daemon, load, vehicles=vehicles)
+        wait_until(socket.exists, "the daemon listens to clients")
+        yield daemon, socket, load
+
+
 def test_small_calls_from_one_client(tmp_path: Path) -> None:
-    with bench.running(bench.skygcs("rpc", keep_vehicles=True, record=False), tmp_path) as daemon:
-        bench.wait_forwarding(daemon, bench.generator(tmp_path), vehicles=3)
+    with daemon_of(tmp_path, 3) as (daemon, socket, _):
         for window in (1, 32):
             before, count = bench.cpu_s(daemon.process.pid), 20_000 // window * window
-            took = asyncio.run(calls(tmp_path / "rpc" / "s", count, window))
+            took = asyncio.run(calls(socket, count, window))
             cpu = bench.cpu_s(daemon.process.pid) - before
             print(f"\n{window:>3} at a time: {count / took:,.0f} calls/s, daemon {cpu / count * 1e6:.1f} us CPU a call")
             note(f"calls, {window} at a time", {"per_s": count / took, "daemon_us": cpu / count * 1e6})
@@ -72,10 +84,7 @@ async def subscribers(socket: Path, count: int, rate_hz: float, seconds: float) 
 @pytest.mark.parametrize("frames_per_s", [0, 1500])
 def test_twenty_subscribers_at_ten_hertz_to_fifty_vehicles(tmp_path: Path, frames_per_s: int) -> None:
     """With telemetry: what every subscriber is told has changed since the last time, and is unpacked anew."""
-    router = bench.skygcs("rpc", keep_vehicles=True, record=False)
-    load = bench.generator(tmp_path)
-    with bench.running(router, tmp_path) as daemon:
-        bench.wait_forwarding(daemon, load, vehicles=VEHICLES)
+    with daemon_of(tmp_path, VEHICLES) as (daemon, socket, load):
         shares = {}
         for count in (0, 1, 20):
             began, before = time.perf_counter(), bench.cpu_s(daemon.process.pid)
@@ -83,7 +92,7 @@ def test_twenty_subscribers_at_ten_hertz_to_fifty_vehicles(tmp_path: Path, frame
                 if frames_per_s:
                     options = {"vehicles": VEHICLES, "rate": frames_per_s, "seconds": SECONDS}
                     pool.submit(bench.run_load, daemon, load, **options)
-                told = asyncio.run(subscribers(tmp_path / "rpc" / "s", count, RATE_HZ, SECONDS))
+                told = asyncio.run(subscribers(socket, count, RATE_HZ, SECONDS))
                 shares[count] = (bench.cpu_s(daemon.process.pid) - before) / (time.perf_counter() - began)
             share = f"daemon {100 * shares[count]:.1f} % of a core"
             print(f"\n{count:>3} subscribers, {frames_per_s} frames/s: {told / SECONDS:,.0f} updates/s, {share}")
