@@ -21,7 +21,7 @@ from support.fake_daemon import FakeDaemon
 from support.federated import site
 from support.hub import Hub
 from support.hub_proxy import HubProxy
-from support.order_schedules import memory_schedule
+from support.order_schedules import memory_schedules
 from support.order_schedules_real import real_schedules
 
 MEMORY_SCHEDULES = 180
@@ -65,14 +65,7 @@ def check_faults(found: Found) -> list[tuple[str, bool]]:
 
 
 async def _memory(folder: Path) -> Found:
-    wrong: list[str] = []
-    happened: Counter[str] = Counter()
-    for seed in range(MEMORY_SCHEDULES):
-        own = folder / f"memory-{seed}"
-        own.mkdir()
-        contradictions, counted = await memory_schedule(seed, own)
-        wrong += contradictions
-        happened += counted
+    wrong, happened = await memory_schedules(range(MEMORY_SCHEDULES), folder)
     return {"schedules": MEMORY_SCHEDULES, "wrong": wrong, "happened": dict(happened)}
 
 
