@@ -7,6 +7,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from bench.results import percentile
 from skygcs.daemon import Daemon
 from skygcs.sim import protocol as m
 from skygcs.sim.param_table import Param
@@ -27,6 +28,9 @@ was lost has been repeated, its waiting would count as well, and the more so the
 GET_MESSAGE_INTERVAL = 510
 """Asks and changes nothing, and is acknowledged by both firmwares."""
 
+SETTLE_S, MEASURE_S = 40.0, 120.0
+"""Before and while it is measured."""
+
 
 @dataclass
 class Measured:
@@ -42,36 +46,23 @@ class Measured:
     loss: float = 0.0
     acks_s: list[float] = field(default_factory=list)
     commands: int = 0
-    lost_commands: int = 0
     usable_s: float | None = None
     emergency_s: list[float] = field(default_factory=list)
     """From an emergency stop for all, on the saturated link, until each vehicle heard it."""
 
     def as_dict(self) -> dict[str, Any]:
+        def at(values: list[float], share: float) -> float | None:
+            return round(percentile(values, share), 3) if values else None
+
         return {
-            "column": self.column,
-            "vehicles": self.vehicles,
-            "air_kbps": self.air_kbps,
-            "round_s": round(self.round_s, 3),
-            "heard": self.heard,
-            "age_p50_s": percentile(self.ages_s, 0.5),
-            "age_p95_s": percentile(self.ages_s, 0.95),
+            **{"column": self.column, "vehicles": self.vehicles, "air_kbps": self.air_kbps, "heard": self.heard},
+            **{"round_s": round(self.round_s, 3), "loss": round(self.loss, 4), "usable_s": self.usable_s},
+            **{"age_p50_s": at(self.ages_s, 0.5), "age_p95_s": at(self.ages_s, 0.95)},
+            **{"ack_p50_s": at(self.acks_s, 0.5), "ack_p95_s": at(self.acks_s, 0.95)},
             "positions_per_vehicle_per_s": round(self.positions_per_s, 3),
-            "loss": round(self.loss, 4),
-            "ack_p50_s": percentile(self.acks_s, 0.5),
-            "ack_p95_s": percentile(self.acks_s, 0.95),
-            "commands": self.commands,
-            "lost_commands": self.lost_commands,
-            "usable_s": None if self.usable_s is None else round(self.usable_s, 1),
-            "emergency_max_s": percentile(self.emergency_s, 1.0),
-            "emergency_reached": len(self.emergency_s),
+            **{"commands": self.commands, "lost_commands": self.commands - len(self.acks_s)},
+            **{"emergency_max_s": at(self.emergency_s, 1.0), "emergency_reached": len(self.emergency_s)},
         }
-
-
-def percentile(values: list[float], share: float) -> float | None:
-    """None of nothing."""
-    ordered = sorted(values)
-    return round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 3) if ordered else None
 
 
 def furnish(sim: SimVehicle, now: float) -> None:
@@ -92,6 +83,17 @@ class CommandedDaemon:
         self.sims = sims
         self.told = told
 
+    async def measure(self, measure_s: float) -> None:
+        """Look five times a second, while one vehicle after the other gets an order."""
+        before, end = self._positions(), self.daemon.now() + measure_s
+        commanding = asyncio.create_task(self._command_until(end))
+        while self.daemon.now() < end:
+            await asyncio.sleep(0.2)
+            self.told.ages_s += self.ages()
+        self.told.heard = len(self.daemon.fleet.vehicles)
+        self.told.positions_per_s = (self._positions() - before) / measure_s / self.told.vehicles
+        await commanding
+
     def ages(self) -> list[float]:
         """Of what is known of where each vehicle is: since the vehicle measured it."""
         ages = []
@@ -104,17 +106,16 @@ class CommandedDaemon:
                 ages.append(max(0.0, (sim.boot_ms - slot.frame.fields()["time_boot_ms"]) / 1000))
         return ages
 
-    def positions(self) -> int:
+    def _positions(self) -> int:
         """That have come, of all vehicles."""
         return sum(a.vehicle.count("GLOBAL_POSITION_INT") for a in self.daemon.fleet.vehicles.values())
 
-    async def command_until(self, end: float) -> None:
-        """To one vehicle after the other, without waiting for the answer of the one before."""
+    async def _command_until(self, end: float) -> None:
+        """Without waiting for the answer of the order before."""
         under_way: list[asyncio.Task[None]] = []
-        turn = 0
         while self.daemon.now() < end:
-            under_way.append(asyncio.create_task(self._command(self.sims[turn % len(self.sims)])))
-            turn += 1
+            sim = self.sims[len(under_way) % len(self.sims)]
+            under_way.append(asyncio.create_task(self._command(sim)))
             await asyncio.sleep(COMMAND_EVERY_S / len(self.sims))
         await asyncio.gather(*under_way)
 
@@ -124,5 +125,3 @@ class CommandedDaemon:
         outcome = None if actor is None else await actor.command(GET_MESSAGE_INTERVAL, (33.0,))
         if outcome is not None and outcome.ok:
             self.told.acks_s.append(outcome.elapsed_s)
-        else:
-            self.told.lost_commands += 1

@@ -11,8 +11,8 @@ is junk. Every frame is known byte for byte, with who must get it and who may (`
 It runs in legs of ten seconds. At the end of each all that is under way has come, and what has not is lost: explained
 if the kernel had no room for a datagram (/proc/net/udp), or the daemon counted one that a socket did not take or a
 frame that it took for a copy in that leg, else a fault. A watchdog asks the daemon something every few seconds. Growth
-is the slope of a line through its resident memory after the warm-up. All in build/bench/soak.json and soak.png, and as
-a table. Exit code 1 if anything was missed; SOAK_SEED repeats a run.
+is the slope of a line through its resident memory after the warm-up. All in build/bench/soak.json, and as a table.
+Exit code 1 if anything was missed; SOAK_SEED repeats a run.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bench.results import keep
 from bench.soak_traffic import OWN, HostilePeer, UdpSocket, World, udp_sockets, wait_until
 from support import router_bench as bench
 from support.process import free_port
 
-OUT = bench.ROOT / "build" / "bench"
 MINUTES = float(os.environ.get("SOAK_MINUTES", "60"))
 VEHICLES = int(os.environ.get("SOAK_VEHICLES", "20"))
 RATE_PER_S = int(os.environ.get("SOAK_RATE", "2000"))
@@ -550,33 +550,10 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
 
-def _picture(report: dict[str, Any]) -> None:
-    """Memory over time; nothing without matplotlib."""
-    try:
-        import matplotlib
-    except ImportError:
-        return
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(8, 3.5), layout="constrained")
-    axes.plot([t / 60 for t, _ in report["samples"]], [mb for _, mb in report["samples"]], label="resident memory")
-    ends = [report["warm_up_s"] / 60, report["minutes"]]
-    fitted = [report["rss_mb"]["after warm-up"], report["rss_mb"]["at the end"]]
-    axes.plot(ends, fitted, "--", label=f"{report['growth_mb_per_hour']:+.2f} MB per hour")
-    axes.set(xlabel="minutes", ylabel="MB", ylim=(0, None))
-    axes.set_title(f"{report['vehicles']} vehicles, {report['frames_sent_per_s']} frames/s, recording")
-    axes.legend(loc="lower right")
-    figure.savefig(OUT / "soak.png", dpi=100)
-    pyplot.close(figure)
-
-
 def main() -> int:
     with tempfile.TemporaryDirectory(prefix="skygcs-soak-") as name:
         report = Soak(Path(name)).run()
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "soak.json").write_text(json.dumps(report, indent=1) + "\n")
-    _picture(report)
+    keep("soak", report)
     print(table(report))
     faults = missed(report)
     for text in faults:

@@ -1,4 +1,4 @@
-"""What the RPC server costs: CPU of its process, beside what was delivered. Times are shown, not asserted.
+"""What the RPC server costs: CPU of the daemon, beside what was delivered. Times are shown, not asserted.
 
 Run by `make bench`; results also in build/bench/rpc.json. Targets: 5,000 small calls a second from one client; 20
 subscribers at 10 Hz to 50 vehicles in a quarter of a core.
@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -21,36 +18,9 @@ import pytest
 
 from bench.results import keep
 from support import router_bench as bench
+from support.process import wait_until
 
-ROOT = bench.ROOT
 VEHICLES, RATE_HZ, SECONDS = 50, 10.0, 5.0
-
-
-class ServerProcess:
-    def __init__(self, socket: Path, process: subprocess.Popen[str]) -> None:
-        self.socket, self.process = socket, process
-
-    def cpu_s(self) -> float:
-        """User and system time so far."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-@contextmanager
-def server(folder: Path, vehicles: int) -> Iterator[ServerProcess]:
-    socket = folder / "s.sock"
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'tests'}:{ROOT / 'tests' / 'bench'}"}
-    command = [sys.executable, "-m", "rpc_server_process", str(socket), str(vehicles)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
-    assert process.stdin and process.stdout
-    try:
-        while process.stdout.readline().strip() != "ready":
-            assert process.poll() is None
-        yield ServerProcess(socket, process)
-    finally:
-        process.stdin.close()
-        process.wait(10)
-        process.stdout.close()
 
 
 async def calls(socket: Path, count: int, window: int) -> float:
@@ -67,14 +37,24 @@ async def calls(socket: Path, count: int, window: int) -> float:
     return took
 
 
+@contextmanager
+def daemon_of(folder: Path, vehicles: int) -> Iterator[tuple[bench.Running, Path, list[str]]]:
+    """A daemon that hears ``vehicles``, its socket and the load generator. It forwards before it listens to clients."""
+    load, socket = bench.generator(folder), folder / "rpc" / "s"
+    with bench.running(bench.skygcs("rpc", keep_vehicles=True, record=False), folder) as daemon:
+        bench.wait_forwarding(daemon, load, vehicles=vehicles)
+        wait_until(socket.exists, "the daemon listens to clients")
+        yield daemon, socket, load
+
+
 def test_small_calls_from_one_client(tmp_path: Path) -> None:
-    with server(tmp_path, 3) as process:
+    with daemon_of(tmp_path, 3) as (daemon, socket, _):
         for window in (1, 32):
-            before, count = process.cpu_s(), 20_000 // window * window
-            took = asyncio.run(calls(process.socket, count, window))
-            cpu = process.cpu_s() - before
-            print(f"\n{window:>3} at a time: {count / took:,.0f} calls/s, server {cpu / count * 1e6:.1f} us CPU a call")
-            note(f"calls, {window} at a time", {"per_s": count / took, "server_us": cpu / count * 1e6})
+            before, count = bench.cpu_s(daemon.process.pid), 20_000 // window * window
+            took = asyncio.run(calls(socket, count, window))
+            cpu = bench.cpu_s(daemon.process.pid) - before
+            print(f"\n{window:>3} at a time: {count / took:,.0f} calls/s, daemon {cpu / count * 1e6:.1f} us CPU a call")
+            note(f"calls, {window} at a time", {"per_s": count / took, "daemon_us": cpu / count * 1e6})
 
 
 async def subscribers(socket: Path, count: int, rate_hz: float, seconds: float) -> int:
@@ -104,10 +84,7 @@ async def subscribers(socket: Path, count: int, rate_hz: float, seconds: float) 
 @pytest.mark.parametrize("frames_per_s", [0, 1500])
 def test_twenty_subscribers_at_ten_hertz_to_fifty_vehicles(tmp_path: Path, frames_per_s: int) -> None:
     """With telemetry: what every subscriber is told has changed since the last time, and is unpacked anew."""
-    router = bench.skygcs("rpc", keep_vehicles=True, record=False)
-    load = bench.generator(tmp_path)
-    with bench.running(router, tmp_path) as daemon:
-        bench.wait_forwarding(daemon, load, vehicles=VEHICLES)
+    with daemon_of(tmp_path, VEHICLES) as (daemon, socket, load):
         shares = {}
         for count in (0, 1, 20):
             began, before = time.perf_counter(), bench.cpu_s(daemon.process.pid)
@@ -115,7 +92,7 @@ def test_twenty_subscribers_at_ten_hertz_to_fifty_vehicles(tmp_path: Path, frame
                 if frames_per_s:
                     options = {"vehicles": VEHICLES, "rate": frames_per_s, "seconds": SECONDS}
                     pool.submit(bench.run_load, daemon, load, **options)
-                told = asyncio.run(subscribers(tmp_path / "rpc" / "s", count, RATE_HZ, SECONDS))
+                told = asyncio.run(subscribers(socket, count, RATE_HZ, SECONDS))
                 shares[count] = (bench.cpu_s(daemon.process.pid) - before) / (time.perf_counter() - began)
             share = f"daemon {100 * shares[count]:.1f} % of a core"
             print(f"\n{count:>3} subscribers, {frames_per_s} frames/s: {told / SECONDS:,.0f} updates/s, {share}")

@@ -18,10 +18,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core import alarms
 from skygcs.runtime.recorder import TlogFiles
 from support.flown import Flown, aloft
-from support.planned import run, state, timed
+from support.planned import here, northwards, run, state
 from support.pymav import PymavPeer
-
-pytestmark = pytest.mark.looptime
 
 Step = Callable[[Flown], Awaitable[None]]
 
@@ -86,8 +84,7 @@ async def sound_again(gcs: Flown) -> None:
 
 
 async def a_plan_that_is_aborted(gcs: Flown) -> None:
-    starts = {name: gcs.place(name) for name in ("v1", "v2")}
-    await run(gcs, timed(starts, {name: (x, y + 8.0, up) for name, (x, y, up) in starts.items()}))
+    await run(gcs, northwards(here(gcs), 8.0))
     await gcs.until(lambda: state(gcs) in ("engaging", "to_starts", "flying"), 60.0)
     await gcs("plan.abort")
 
@@ -96,16 +93,13 @@ async def a_plan_that_flies(gcs: Flown) -> None:
     await gcs.until(lambda: state(gcs) == "aborted", 60.0)
     await gcs("plan.unload")
     await asyncio.sleep(2)
-    starts = {name: gcs.place(name) for name in ("v1", "v2")}
-    await run(gcs, timed(starts, {name: (x, y - 4.0, up) for name, (x, y, up) in starts.items()}))
+    await run(gcs, northwards(here(gcs), -4.0))
     await gcs.until(lambda: state(gcs) == "finished", 120.0)
 
 
 async def a_wrong_take_off(gcs: Flown) -> None:
     """A station moves home after the height was computed."""
-    await gcs.done("vehicles.land", targets="v2")
-    await gcs.until(lambda: not gcs.sim("v2").armed, 90.0)
-    await asyncio.sleep(3)
+    await gcs.lands("v2")
     await gcs("vehicles.takeoff", targets="v2", height_m=8.0)
     await gcs.until(lambda: gcs.sim("v2").armed and gcs.sim("v2").motion.up_m > 1.0, 60.0)
     gcs.sim("v2").motion.up_m += 9.0

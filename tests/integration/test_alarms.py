@@ -6,11 +6,7 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from support.flown import Flown, aloft
-
-pytestmark = pytest.mark.looptime
 
 
 async def alarms(gcs: Flown) -> list[tuple[str, str | None]]:

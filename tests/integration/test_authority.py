@@ -22,8 +22,6 @@ from support.extension_parts import PLAIN_METHODS
 from support.flown import Flown, aloft
 from support.pymav import PymavPeer
 
-pytestmark = pytest.mark.looptime
-
 WORDS = "v1 is commanded by south; `skygcs-cli federation take v1`"
 VALID_S = 2.5
 

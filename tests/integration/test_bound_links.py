@@ -16,8 +16,6 @@ from support.daemons import memory_link
 from support.on_air import OnAir, on_air
 from support.pymav import PymavPeer
 
-pytestmark = pytest.mark.looptime
-
 VEHICLES = range(1, 9)
 RADIO = {"px4": 4, "ardupilot": 4, "radio": {"air_kbps": 125}, "link": {"stream_profile": "monitor"}}
 BAD = {"loss": 0.1, "duplicate": 0.1, "delay_s": 0.02, "jitter_s": 0.1}

@@ -28,8 +28,6 @@ from skygcs.sim.kinematics import LocalFrame
 from support.on_air import FIELD, OnAir, on_air
 from support.planned import instant_planning
 
-pytestmark = pytest.mark.looptime
-
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tutorial" / "box-of-parts.md"
 NAMES = ("alpha", "bravo", "charlie", "delta")

@@ -17,11 +17,7 @@ from skygcs.core.vehicle.order_ledger import ClientIdentity
 from skygcs.ext.companions import companion_control
 from skygcs.runtime.loop_clock import Standstill
 from support.companion_pair import Pair, circle, circle_pieces, companion_pair, start_circle
-from support.flown import SETPOINTS
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, SETPOINTS
 
 
 @KINDS

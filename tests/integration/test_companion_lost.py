@@ -15,14 +15,10 @@ from skygcs.ext.companions.mirrored_control import REPORTS_SILENT_S
 from skygcs.rpc.error_codes import INVALID_PARAMS
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.companion_pair import Pair, circle, companion_pair, start_circle
+from support.companion_pair import Pair, companion_pair, start_circle
 from support.daemons import memory_link
-from support.flown import SETPOINTS
+from support.flown import KINDS, SETPOINTS
 from support.pymav import PymavPeer
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 RETURNING = frozenset({Px4Mode.RTL, CopterMode.RTL})
 LANDING = frozenset({Px4Mode.LAND, CopterMode.LAND})
@@ -73,22 +69,6 @@ async def test_a_companion_that_refuses_the_grounds_contact_is_named_with_its_re
         refused = await pair("control.set", targets="v1", mode="position")
         message = refused["outcomes"]["v1"]["message"]
         assert "has not answered for" in message and "invalid params: compid: unknown; is its skygcs another" in message
-
-
-@pytest.mark.deep  # a whole trajectory and a return; the table is held in unit/ext/companions
-@KINDS
-async def test_finish_flies_the_trajectory_to_its_end_and_returns_then(tmp_path: Path, kind: dict[str, Any]) -> None:
-    async with companion_pair(tmp_path, companion={"ground_lost": "finish"}, engaged="position", **kind) as pair:
-        began = await start_circle(pair, seconds=25)
-        await asyncio.sleep(8)
-        await pair.lose_ground()
-        await pair.until(lambda: lost_texts(pair), 15.0)
-        assert "finishing" in lost_texts(pair)[0]
-        await asyncio.sleep(began + 23.0 - pair.now)
-        assert math.dist(pair.pi.place()[:2], circle(pair.now - began)[0]) < 0.7, "it flies on without the ground"
-        returned = await pair.until(lambda: mode(pair) in RETURNING, 20.0)
-        assert returned >= began + 25.0 + LOST_S
-        assert not pair.pi.setpoints(pair.now + 0.2)
 
 
 async def test_finish_does_not_wait_for_the_end_of_a_paused_trajectory(tmp_path: Path) -> None:

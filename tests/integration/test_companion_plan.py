@@ -17,8 +17,6 @@ from support.companion_pair import Pair, companion_pair
 from support.daemons import simulated_link
 from support.planned import Places, content, inline, timed
 
-pytestmark = pytest.mark.looptime
-
 STARTS: Places = {"v1": (0.0, 0.0, 10.0), "v2": (0.0, 30.0, 10.0)}
 GOALS: Places = {"v1": (24.0, 0.0, 10.0), "v2": (24.0, 30.0, 10.0)}
 

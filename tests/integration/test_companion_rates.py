@@ -10,10 +10,8 @@ import pytest
 
 from skygcs.core.mavlink import mav_cmd
 from support.companion_pair import Pair, companion_pair
+from support.flown import KINDS
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 POSITION, MISSED = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"
 
 

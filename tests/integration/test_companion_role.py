@@ -8,8 +8,6 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, VehicleEntry
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT
@@ -21,8 +19,6 @@ from skygcs.ext.companions.role import as_companion
 from skygcs.rpc.client import connect
 from support.daemons import memory_link, started
 from support.routed import DIALECT, heartbeat, message
-
-pytestmark = pytest.mark.looptime
 
 GCS, ONBOARD = 6, 18
 

@@ -66,7 +66,6 @@ def listed(state: dict[str, Any]) -> dict[int, tuple[str | None, bool]]:
     return {c["compid"]: (c["type"], c["autopilot"]) for c in state["components"]}
 
 
-@pytest.mark.looptime
 @pytest.mark.parametrize("companion_first", [True, False])
 async def test_what_a_companion_says_is_found_under_its_vehicle(tmp_path: Path, companion_first: bool) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
@@ -104,7 +103,6 @@ async def test_what_a_companion_says_is_found_under_its_vehicle(tmp_path: Path, 
         assert state["autopilot"] == "ardupilot" and state["type"] == "QUADROTOR", "the state is the autopilot's"
 
 
-@pytest.mark.looptime
 async def test_all_components_are_listed_also_those_without_a_vehicle(tmp_path: Path) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
         System(gcs).whole()
@@ -130,7 +128,6 @@ async def test_all_components_are_listed_also_those_without_a_vehicle(tmp_path: 
         assert "no vehicle '9'" in (await told(gcs, "vehicles.get", target="9"))["message"]
 
 
-@pytest.mark.looptime
 async def test_a_component_is_a_target_where_it_makes_sense(tmp_path: Path) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
         system = System(gcs)
@@ -187,7 +184,6 @@ async def test_a_component_is_a_target_where_it_makes_sense(tmp_path: Path) -> N
         assert not gcs.complaints and not gcs.faults()
 
 
-@pytest.mark.looptime
 async def test_a_message_of_the_autopilot_comes_before_that_of_a_companion(tmp_path: Path) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
         System(gcs).whole()
@@ -197,7 +193,6 @@ async def test_a_message_of_the_autopilot_comes_before_that_of_a_companion(tmp_p
         assert await told(gcs, "messages.latest", target="7/1", name="VISION_POSITION_ESTIMATE") is None
 
 
-@pytest.mark.looptime
 async def test_a_second_autopilot_is_a_vehicle_of_its_own_in_the_same_system(tmp_path: Path) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
         system = System(gcs)
@@ -216,7 +211,6 @@ async def test_a_second_autopilot_is_a_vehicle_of_its_own_in_the_same_system(tmp
         assert 7 << 8 in gcs.daemon.fleet.sources("kite")
 
 
-@pytest.mark.looptime
 async def test_a_flood_of_components_is_bounded_and_counted(tmp_path: Path) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
         for sysid in range(2, 52):  # a third of them would fill the table
@@ -238,7 +232,6 @@ async def test_a_flood_of_components_is_bounded_and_counted(tmp_path: Path) -> N
         assert not gcs.complaints and not gcs.faults()
 
 
-@pytest.mark.looptime
 async def test_one_component_that_sends_everything_is_bounded_too(tmp_path: Path) -> None:
     async with asked(tmp_path, **FLEET) as gcs:
         names = [info.name for info in DIALECT.messages.values() if info.name != "SETUP_SIGNING"]

@@ -5,11 +5,7 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-import pytest
-
 from support.flown import flown
-
-pytestmark = pytest.mark.looptime
 
 
 async def test_another_program_is_still_one(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Attitude begins without a bump: in wind, with a wrong hover thrust, at the entry and at each return after a fall."""
+"""Attitude begins without a bump, in wind and with a wrong hover thrust."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.conditions import Conditions
-from support.flown import Flown, aloft
+from skygcs.sim.conditions import CALM, Conditions
+from support.flown import KINDS, Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 WIND = Conditions(wind_enu_mps=(3.0, 4.0, 0.0))
 
 
@@ -26,12 +23,14 @@ def moved_m(gcs: Flown, since: float) -> tuple[float, float]:
 
 @pytest.mark.deep
 @KINDS
-async def test_entry_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
-    async with aloft(tmp_path, conditions=WIND, **kind) as gcs:
+@pytest.mark.parametrize(("conditions", "wrong"), [(WIND, 1.0), (CALM, 1.25), (CALM, 0.8)], ids=["wind", "high", "low"])
+async def test_entry(tmp_path: Path, kind: dict[str, int], conditions: Conditions, wrong: float) -> None:
+    """``wrong``: the share of the hover thrust that is configured."""
+    control = {"hover_thrust": round(0.45 / 1.11 * wrong, 3)}  # a full battery gives 1.11 of the nominal thrust
+    async with aloft(tmp_path, conditions=conditions, control=control, **kind) as gcs:
         await asyncio.sleep(10.0)
         began = gcs.now
         await gcs.fly("attitude")
         await asyncio.sleep(15.0)
         plane_m, height_m = moved_m(gcs, began)
-        print("moved", plane_m, height_m)
         assert plane_m <= 0.25 and height_m <= 0.1

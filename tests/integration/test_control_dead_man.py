@@ -5,15 +5,10 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-import pytest
-
-from support.flown import Flown, aloft
+from support.flown import KINDS, Flown, aloft
 from support.public_data import CAPTURE
 from support.pymav import PymavPeer
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 SETTINGS = {"operator_timeout_s": 5.0}
 
 

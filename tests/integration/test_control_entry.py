@@ -12,11 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.radio_link.transmit_queue import TxQueue
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import HOLDING, Flown, aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import HOLDING, KINDS, Flown, aloft
 
 ORDERS: dict[str, tuple[str, dict[str, Any], tuple[int, ...]]] = {
     "land": ("vehicles.land", {}, (Px4Mode.LAND, CopterMode.LAND)),
@@ -289,9 +285,7 @@ async def test_a_setpoint_that_waits_for_a_busy_link_does_not_leave_after_the_en
 
 async def test_on_the_ground_nothing_is_taken_over(tmp_path: Path) -> None:
     async with aloft(tmp_path) as gcs:
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.sim().armed, 60.0)
-        await asyncio.sleep(3)
+        await gcs.lands()
         since = gcs.now
         outcome = await gcs.outcome("control.set", mode="position")
         assert outcome["result"] == "refused", outcome

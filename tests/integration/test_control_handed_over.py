@@ -15,11 +15,8 @@ from skygcs.ext.joystick.stick_mapping import AxisChoice, StickAxes, StickLimits
 from skygcs.ext.joystick.stick_session import StickSession
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, aloft
+from support.flown import KINDS, Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 WINDY = conditions_of(wind_mps=6.0)
 
 DENIED: dict[str, tuple[str, dict[str, Any]]] = {

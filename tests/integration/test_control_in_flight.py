@@ -9,11 +9,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.vehicle.order_ledger import ClientIdentity
-from support.flown import Flown, aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, Flown, aloft
 
 
 def thrusts(gcs: Flown, since: float) -> list[float]:

@@ -10,8 +10,6 @@ import pytest
 from skygcs.runtime.link_view import LinkView
 from support.flown import aloft
 
-pytestmark = pytest.mark.looptime
-
 
 async def test_a_radio_that_gets_busy_in_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     left = [1440.0]

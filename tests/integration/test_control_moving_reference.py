@@ -8,9 +8,7 @@ from typing import Any
 
 import pytest
 
-from support.flown import aloft
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, aloft
 
 
 @pytest.mark.deep

@@ -14,8 +14,6 @@ from support.called import sender_of
 from support.daemons import made_daemon
 from support.flown import aloft
 
-pytestmark = pytest.mark.looptime
-
 BY_HAND: dict[str, Any] = {"coordinate_frame": 1, "type_mask": 0xDC7, "vx": 1.0}
 
 

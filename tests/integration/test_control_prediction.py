@@ -11,11 +11,8 @@ import pytest
 
 from skygcs.core.control.trace import decode, rerun
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, aloft
+from support.flown import KINDS, Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 WIDE = {"x_m": [-50, 50], "y_m": [-50, 50], "up_m": [0, 40]}
 PREDICTED: dict[str, Any] = {"velocity_predictor": True, "fence": WIDE}
 WIND = Conditions(wind_enu_mps=(4.0, 3.0, 0.0), gust_mps=1.0)

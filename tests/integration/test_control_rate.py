@@ -13,8 +13,6 @@ from skygcs.sim.quad import Quad
 from skygcs.sim.wind import Wind
 from support.flown import flown
 
-pytestmark = pytest.mark.looptime
-
 
 @pytest.mark.deep
 async def test_at_20_hz_it_recovers_from_wind_as_fast_as_at_50(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,11 +12,7 @@ import pytest
 from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin
 from skygcs.errors import RefusedError
-from support.flown import Flown, aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, Flown, aloft
 
 LEVEL = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 90.0}
 

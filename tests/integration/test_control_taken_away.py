@@ -9,11 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, aloft, flown
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, Flown, aloft, flown
 
 
 def px4(gcs: Flown) -> bool:

@@ -8,11 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import HOLDING, aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import HOLDING, KINDS, aloft
 
 
 @pytest.mark.deep

@@ -11,11 +11,7 @@ import pytest
 
 from skygcs.core.control.trace import Trace, TraceEntry, decode, rerun
 from skygcs.runtime.trace_file import TraceFile
-from support.flown import aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, aloft
 
 
 def read(path: Path) -> tuple[Trace, list[TraceEntry]]:

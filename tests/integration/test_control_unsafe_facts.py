@@ -7,11 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import aloft
+from support.flown import KINDS, aloft
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 KINDS_AND_MODES = pytest.mark.parametrize(
     ("kind", "mode"),
     [

@@ -7,11 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, aloft
 
 
 @pytest.mark.deep
@@ -38,3 +34,15 @@ async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
         await asyncio.sleep(12.0)
         assert gcs.farthest_m(slow, of=(start[0] + 8.0, start[1], start[2])) < 8.0, "it never leaves the step"
         assert gcs.place() == pytest.approx((start[0] + 8.0, start[1], start[2]), abs=0.5)
+
+
+@pytest.mark.deep
+async def test_loss_is_no_delay(tmp_path: Path) -> None:
+    """Every twentieth packet is lost, each way."""
+    async with aloft(tmp_path, delay_s=0.01) as gcs:
+        await gcs.fly("attitude")
+        for network in (gcs.link.inward, gcs.link.outward):
+            network._config = network._config.model_copy(update={"loss": 0.05})
+        began = gcs.now
+        await asyncio.sleep(120.0)
+        assert not gcs.texts(began)

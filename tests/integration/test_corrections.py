@@ -15,8 +15,6 @@ from support.flown import Flown
 from support.grounded import on_the_ground
 from support.rtcm import STANDARD_1005, rtcm_frame
 
-pytestmark = pytest.mark.looptime
-
 OBSERVATIONS = (1077, 1087, 1097, 1127)
 
 

@@ -16,8 +16,6 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
 from support.rtcm import STANDARD_1005, rtcm_frame
 
-pytestmark = pytest.mark.looptime
-
 OBSERVATIONS = (1077, 1087, 1097, 1127)
 
 

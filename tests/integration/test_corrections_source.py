@@ -21,8 +21,6 @@ from support.grounded import on_the_ground
 from support.pymav import PymavPeer
 from support.rtcm import STANDARD_1005, rtcm_frame
 
-pytestmark = pytest.mark.looptime
-
 OBSERVATIONS = (1074, 1084, 1094, 1124)
 
 

@@ -10,8 +10,6 @@ import pytest
 from skygcs.sim.firmware_modes import CopterMode
 from support.flown import aloft
 
-pytestmark = pytest.mark.looptime
-
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", [{"px4": 1, "ardupilot": 0}, {"px4": 0, "ardupilot": 1}], ids=str)

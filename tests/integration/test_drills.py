@@ -21,8 +21,6 @@ from support.called import call
 from support.daemons import made_daemon, simulated_link, started
 from support.flown import Ordering, flown
 
-pytestmark = pytest.mark.looptime
-
 
 def with_drills(config: FleetConfig) -> FleetConfig:
     """The fleet with its table [drills]."""

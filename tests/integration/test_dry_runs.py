@@ -9,8 +9,6 @@ import pytest
 from support.dry_runs import judge
 from support.examples import seeds
 
-pytestmark = pytest.mark.looptime
-
 COSTS = "each seed flies some random plans of two or three vehicles to their ends"
 
 

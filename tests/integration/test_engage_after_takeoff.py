@@ -11,11 +11,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, Flown, aloft
 
 
 @asynccontextmanager
@@ -23,9 +19,7 @@ async def grounded(tmp_path: Path, mode: str | None, **kind: int) -> AsyncIterat
     """Landed again, disarmed, before the take-off that counts."""
     control: dict[str, Any] = {} if mode is None else {"engage_after_takeoff": mode}
     async with aloft(tmp_path, control=control, height_m=4.0, **kind) as gcs:
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.actor().vehicle.armed, 120.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands()
         yield gcs
 
 

@@ -73,7 +73,6 @@ async def running(folder: Path, table: str) -> AsyncIterator[Daemon]:
         yield daemon
 
 
-@pytest.mark.looptime
 async def test_its_table_method_state_clock_and_order_check_work(installed: Path) -> None:
     async with running(installed, listing("fleet.toml")), connect(installed / "s") as client:
         await asyncio.sleep(5.0)  # its position has come
@@ -174,7 +173,6 @@ def test_one_is_made_on_demand_while_others_are_started(monkeypatch: pytest.Monk
     assert len([*extensions]) == 4
 
 
-@pytest.mark.looptime
 async def test_one_that_fails_to_accept_clients_tries_again_and_others_go_on() -> None:
     begun: list[float] = []
     faults: list[Exception] = []
@@ -217,7 +215,6 @@ class Range(Extension[Any]):
 RANGE = {"vehicles": {"v1": {"sysid": 1}}, "extensions": {"range": Model()}}
 
 
-@pytest.mark.looptime
 @pytest.mark.parametrize("how", ["closed", "failing"])
 async def test_one_of_any_name_gates_what_is_sent_to_a_vehicle(
     how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -249,7 +246,6 @@ async def test_one_of_any_name_gates_what_is_sent_to_a_vehicle(
         gcs.told.clear()  # the faults
 
 
-@pytest.mark.looptime
 async def test_a_flight_of_one_that_fails_refuses_what_would_change_it_and_is_a_fault_of_the_daemon(
     tmp_path: Path,
 ) -> None:
@@ -286,7 +282,6 @@ async def test_a_daemon_does_not_start_without_a_gate_that_was_promised(
         Daemon(config.model_copy(update={"extensions": {"range": Model()}}), dialect)
 
 
-@pytest.mark.looptime
 async def test_a_wait_for_the_end_of_one_that_is_cancelled_leaves_no_socket(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

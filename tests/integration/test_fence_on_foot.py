@@ -15,8 +15,6 @@ from skygcs.sim.vehicle import SimVehicle
 from support.flown import Flown
 from support.grounded import on_the_ground
 
-pytestmark = pytest.mark.looptime
-
 BOTH = pytest.mark.parametrize("name", ["v1", "v2"])
 """v1 is a PX4, v2 an ArduCopter."""
 

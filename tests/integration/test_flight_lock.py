@@ -12,12 +12,8 @@ import pytest
 
 from skygcs.errors import RefusedError
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, aloft, flown
-from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
+from support.flown import PAIRS, Flown, aloft, flown
+from support.planned import MARGIN_M, UP_M, above, here, least_distance, north, northwards, plan_events, run, state
 
 WIND = Conditions(wind_enu_mps=(6.0, 0.0, 0.0))
 
@@ -73,13 +69,11 @@ async def origins_are_refused(gcs: Flown) -> None:
 
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False, conditions=WIND) as gcs:
-        starts = {f"v{sim.sysid}": (*gcs.place_of_home(f"v{sim.sysid}")[:2], UP_M) for sim in gcs.sims}
-        goals = {name: (x, y + 12.0, up) for name, (x, y, up) in starts.items()}
-        began = gcs.now
-        await run(gcs, timed(starts, goals))
+        starts, began = above(gcs), gcs.now
+        await run(gcs, northwards(starts))
         await gcs.until(lambda: state(gcs) == "takeoff", 60.0)
         await origins_are_refused(gcs)
         await gcs.until(lambda: state(gcs) == "flying", 120.0)
@@ -91,7 +85,7 @@ async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_pat
         assert "in place" in (await gcs("plan.resume"))["message"] or state(gcs) == "flying"
         await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 60.0)
         assert state(gcs) == "finished", plan_events(gcs)
-        assert all(math.dist(gcs.place(name), goal) < 0.8 for name, goal in goals.items())
+        assert all(math.dist(gcs.place(name), goal) < 0.8 for name, goal in north(starts).items())
         assert least_distance(gcs, began)[0] > MARGIN_M
         # with the plan over, the origin is anybody's
         now = (await gcs("origin.get"))["origin"]
@@ -99,7 +93,7 @@ async def test_an_origin_set_during_a_plan_changes_nothing_that_is_flown(tmp_pat
         await gcs("origin.set", **{**now, "x_heading_deg": 270.0})
 
 
-@KINDS
+@PAIRS
 @pytest.mark.parametrize("flight", ["control", "plan"])
 async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
     tmp_path: Path, kind: dict[str, int], flight: str
@@ -109,8 +103,7 @@ async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
             await gcs.fly("position")
             ends = "`skygcs-cli hold v1`"
         else:
-            starts = {name: gcs.place(name) for name in ("v1", "v2")}
-            await run(gcs, timed(starts, {name: (x, y + 12.0, up) for name, (x, y, up) in starts.items()}))
+            await run(gcs, northwards(here(gcs)))
             await gcs.until(lambda: state(gcs) in ("engaging", "to_starts"), 60.0)
             ends = "`skygcs-cli plan abort`"
         # what is locked, whoever insists
@@ -143,7 +136,7 @@ async def test_what_a_flight_was_entered_with_is_refused_until_it_has_ended(
         assert (await set_param(gcs, *LOCKED[family(kind)].popitem(), force=True))["ok"]
 
 
-@KINDS
+@PAIRS
 async def test_a_fence_that_a_flying_vehicle_is_outside_of_is_refused(tmp_path: Path, kind: dict[str, int]) -> None:
     async with aloft(tmp_path, **kind, conditions=WIND) as gcs:
         x, y, up = gcs.place("v1")
@@ -163,7 +156,7 @@ async def test_a_fence_that_a_flying_vehicle_is_outside_of_is_refused(tmp_path: 
         await gcs.until(lambda: any("fence" in text.lower() for text in gcs.texts(since, "statustext")), 10.0)
 
 
-@KINDS
+@PAIRS
 @pytest.mark.parametrize("moved", ["carried off", "switched"])
 async def test_an_airborne_member_that_its_pilot_moved_is_not_sent_to_its_start(
     tmp_path: Path, kind: dict[str, int], moved: str
@@ -173,8 +166,7 @@ async def test_an_airborne_member_that_its_pilot_moved_is_not_sent_to_its_start(
         await gcs.done("vehicles.takeoff", targets="v2", height_m=UP_M, wait_s=60.0)
         await gcs.until(lambda: abs(gcs.sim("v2").motion.up_m - UP_M) < 0.5, 60.0)
         await asyncio.sleep(5.0)
-        starts = {"v1": (*gcs.place_of_home("v1")[:2], UP_M), "v2": gcs.place("v2")}
-        await run(gcs, timed(starts, {name: (x, y + 12.0, up) for name, (x, y, up) in starts.items()}))
+        await run(gcs, northwards({**above(gcs, "v1"), "v2": gcs.place("v2")}))
         await gcs.until(lambda: gcs.sim("v1").motion.up_m > 2.0, 60.0)
         since, hold = gcs.now, (4, 3) if kind["px4"] else (5, 0)
         if moved == "carried off":

@@ -15,9 +15,7 @@ from skygcs.sim.conditions import Conditions
 from skygcs.web.roles import READ
 from support.extension_parts import ALL_METHODS
 from support.flown import Flown, flown
-from support.planned import UP_M, plan_events, run, state, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import UP_M, here, north, northwards, plan_events, run, state
 
 WIND = Conditions(wind_enu_mps=(6.0, 0.0, 0.0))
 
@@ -165,9 +163,8 @@ def _held(sim: Any) -> list[float | None]:
 
 async def test_while_a_plan_is_flown_and_while_it_is_paused(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1, height_m=UP_M, in_air=True, conditions=WIND) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        goals = {name: (x, y + 35.0, up) for name, (x, y, up) in starts.items()}
-        await run(gcs, timed(starts, goals))
+        starts = here(gcs)
+        await run(gcs, northwards(starts, 35.0))
         await gcs.until(lambda: state(gcs) in ("engaging", "to_starts"), 60.0)
         await what_may_change(gcs)
         await gcs.until(lambda: state(gcs) == "flying", 120.0)
@@ -179,7 +176,7 @@ async def test_while_a_plan_is_flown_and_while_it_is_paused(tmp_path: Path) -> N
         await gcs("plan.resume")
         await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 120.0)
         assert state(gcs) == "finished", plan_events(gcs)
-        assert all(math.dist(gcs.place(name), goal) < 0.9 for name, goal in goals.items())
+        assert all(math.dist(gcs.place(name), goal) < 0.9 for name, goal in north(starts, 35.0).items())
 
 
 @pytest.mark.deep

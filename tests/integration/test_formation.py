@@ -23,8 +23,6 @@ from support.flown import Flown, aloft
 from support.planned import least_distance
 from support.process import ROOT
 
-pytestmark = pytest.mark.looptime
-
 COSTS = "formations of two and three vehicles, each flown to its end"
 
 MARGIN_M = WINGSPAN_M + 2 * POSITION_ERROR_M

@@ -20,8 +20,6 @@ from skygcs.rpc.work_gate import WorkGate
 from support.extension_parts import PLAIN_METHODS
 from support.flown import HOLDING, Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
 FLEET = {"px4": 2, "ardupilot": 2}
 SIZE = sum(FLEET.values())
 

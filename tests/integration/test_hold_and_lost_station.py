@@ -14,8 +14,6 @@ import pytest
 from skygcs.sim.firmware_modes import CopterMode
 from support.flown import Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
 WATCHED = {"FS_GCS_ENABLE": 1.0}
 
 

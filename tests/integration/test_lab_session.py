@@ -24,16 +24,12 @@ from support.random_orders import apart_m
 
 COSTS = "nine vehicles fly from their pads and home again, three times"
 
-pytestmark = pytest.mark.looptime
-
 PADS = pytest.mark.parametrize("pads_m", [3.0, 3.5, 5.0])
 
 LOW: dict[str, float] = {"RTL_RETURN_ALT": 8.0, "RTL_ALT": 800.0}
 
 KINDS = pytest.mark.parametrize(
-    "kind",
-    [{"px4": 9}, {"px4": 0, "ardupilot": 9}, {"px4": 5, "ardupilot": 4}],
-    ids=["px4", "ardupilot", "both"],
+    "kind", [{"px4": 9}, {"px4": 0, "ardupilot": 9}, {"px4": 5, "ardupilot": 4}], ids=["px4", "ardupilot", "both"]
 )
 
 

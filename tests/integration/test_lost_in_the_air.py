@@ -7,15 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from support.flown import aloft
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
+from support.flown import PAIRS, aloft
 
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_nobody_is_sent_to_the_place_of_one_that_is_silent(tmp_path: Path, kind: dict[str, int]) -> None:
     """At 10 s of silence a goto to its place was accepted: true separation 0.00 m."""
     async with aloft(tmp_path, **kind) as gcs:
@@ -36,7 +32,7 @@ async def test_nobody_is_sent_to_the_place_of_one_that_is_silent(tmp_path: Path,
         assert (await gcs.outcome("vehicles.goto", enu_m=there))["ok"]
 
 
-@KINDS
+@PAIRS
 async def test_one_that_was_lost_on_its_way_home_is_in_the_way_all_the_way(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:

@@ -11,14 +11,12 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.mission.formats import read_plan, write_plan
+from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan, from_wire, to_wire
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, Flown
 from support.grounded import on_the_ground
-
-pytestmark = pytest.mark.looptime
 
 BOTH = pytest.mark.parametrize("name", ["v1", "v2"])
 """v1 is a PX4, v2 an ArduCopter."""
@@ -127,20 +125,6 @@ async def test_a_qgc_plan_is_uploaded_flown_paused_and_read_back(tmp_path: Path,
         assert reached[0] == 1 and reached.count(5) == 2, reached
         texts = gcs.texts(began, "mission", name)
         assert "reached item 5 of 7" in texts and "goes on with item 4" in texts
-
-
-@pytest.mark.deep  # the format is read in unit/core/mission, the flight is the one above
-@BOTH
-async def test_a_wpl_file_is_flown_as_well(tmp_path: Path, name: str) -> None:
-    """Mission Planner writes commands without a place in frame 3."""
-    async with on_the_ground(tmp_path) as gcs:
-        text = write_plan(read_plan(plan_text().encode(), "plan").plan, "x.waypoints", MissionType.MISSION)
-        text = "\n".join(line.replace("\t2\t178\t", "\t3\t178\t") for line in text.splitlines()) + "\n"
-        assert "\t3\t178\t" in text
-        await gcs.done("missions.upload", targets=name, plan=text)
-        await gcs.done("missions.start", targets=name, first=2 if name == "v1" else 1)
-        await gcs.until(lambda: gcs.place(name)[1] > 25, 90.0)
-        assert gcs.sim(name).mode in MISSION_MODES
 
 
 @BOTH

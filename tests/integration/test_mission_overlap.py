@@ -13,8 +13,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mission.item import MissionType
 from support.flown import FIELD, Flown, aloft, flown
 
-pytestmark = pytest.mark.looptime
-
 
 def mission(*points: tuple[float, float, float], home: tuple[float, float]) -> str:
     """A QGroundControl plan: up, along these points (east, north, height), and home."""

@@ -25,8 +25,6 @@ from support.sim_pilot import int_param
 
 COSTS = "missions of two and three vehicles, each flown from the ground to its landing"
 
-pytestmark = pytest.mark.looptime
-
 
 def item(command: int, east_m: float, north_m: float, up_m: float) -> MissionItem:
     lat, lon = FIELD.to_geodetic(east_m, north_m)

@@ -36,8 +36,6 @@ from support.pymav import PymavPeer
 
 COSTS = "vehicles that fly by poses at 30 Hz"
 
-pytestmark = pytest.mark.looptime
-
 ORIGIN = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 0.0, "x_heading_deg": 30.0}
 
 PARAMS = {

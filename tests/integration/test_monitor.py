@@ -18,8 +18,6 @@ from support.encounters import KINDS, arena, encounter, judge
 from support.flown import FIELD, Flown, aloft
 from support.made_files import waypoints
 
-pytestmark = pytest.mark.looptime
-
 EXACT = Conditions(dynamics=Dynamics.KINEMATIC)
 
 
@@ -76,9 +74,7 @@ async def test_nobody_is_sent_across_the_way_that_another_one_has_still_to_fly(t
                 await gcs.done("vehicles.rtl", targets="v1")
                 across = [0.0, 0.0, 3.0]
             case "takes off":
-                await gcs.done("vehicles.land", targets="v1")
-                await gcs.until(lambda: not gcs.sim("v1").armed, 90.0)
-                await asyncio.sleep(3.0)
+                await gcs.lands()
                 takes_off = asyncio.create_task(gcs.done("vehicles.takeoff", targets="v1", height_m=9.0))
                 await asyncio.sleep(0.0)
                 across = [0.0, 0.0, 9.0]
@@ -120,9 +116,7 @@ async def test_a_take_off_that_is_over_is_in_nobodys_way(tmp_path: Path, ends: s
     """Its way up counted as long as another of the same order went on, and for good if it never left the ground."""
     async with aloft(tmp_path, px4=0, ardupilot=3, conditions=EXACT) as gcs:
         await gcs.done("vehicles.goto", targets="v3", enu_m=[0.0, 8.0, 16.0])
-        await gcs.done("vehicles.land", targets="v1,v2")
-        await gcs.until(lambda: not (gcs.sim("v1").armed or gcs.sim("v2").armed), 90.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands("v1", "v2")
         both = asyncio.create_task(gcs("vehicles.takeoff", targets="v1,v2", height_m=30.0))
         if ends == "disarmed":
             await both

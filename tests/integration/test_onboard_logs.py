@@ -22,8 +22,6 @@ from support.daemons import made_daemon, simulated_link, started
 from support.hosts import open_descriptors, until
 from support.virtual_asyncio import stuck_threads
 
-pytestmark = pytest.mark.looptime
-
 
 class Lab:
     def __init__(self, daemon: Daemon, gcs: Client, folder: Path) -> None:

@@ -29,8 +29,6 @@ from support.planned import content, inline, refused, timed
 
 COSTS = "each kind of way is flown in a daemon of its own"
 
-pytestmark = pytest.mark.looptime
-
 Vector = tuple[float, float, float]
 
 PADS_M = 2.0

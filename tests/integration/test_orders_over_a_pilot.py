@@ -6,7 +6,6 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mission.item import MissionItem
@@ -16,8 +15,6 @@ from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.flown import FIELD, flown
 from support.grounded import on_the_ground
 from support.table import each
-
-pytestmark = pytest.mark.looptime
 
 
 @each(

@@ -20,8 +20,6 @@ from skygcs.sim.vehicle import SimVehicle
 from support.called import call
 from support.daemons import made_daemon, simulated_link, started
 
-pytestmark = pytest.mark.looptime
-
 HOLDING_M = 1.5
 """A simulated vehicle that holds moves by its estimator's noise and the wind, no more."""
 

@@ -15,8 +15,6 @@ from support.flown import Flown, aloft, flown
 from support.planned import UP_M, run, state, timed
 from support.sim_pilot import int_param
 
-pytestmark = pytest.mark.looptime
-
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1, "ardupilot": 0}, {"px4": 0, "ardupilot": 1}], ids=["px4", "copter"])
 FALLS = {"px4": ("MANUAL", "ACRO", "STABILIZED"), "ardupilot": ("STABILIZE", "ACRO")}
 INSISTED = {"px4": ("ALTCTL", "POSCTL"), "ardupilot": ("ALT_HOLD", "LOITER", "GUIDED_NOGPS")}

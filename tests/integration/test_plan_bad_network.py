@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 from support.flown import Flown, flown
-from support.planned import MARGIN_M, UP_M, least_distance, phased, plan_events, run, state, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import MARGIN_M, above, least_distance, north, phased, plan_events, run, state, timed
 
 LOSSY = {"type": "memory", "role": "radio", "loss": 0.05, "delay_s": 0.06, "jitter_s": 0.05}
 
@@ -57,17 +55,16 @@ async def to_the_end(gcs: Flown, seconds: float) -> int:
 async def test_five_per_cent_loss_and_gaps_of_a_second(tmp_path: Path, kind: str, seed: int) -> None:
     links = {"air": {**LOSSY, "seed": seed}}
     async with flown(tmp_path, px4=2, ardupilot=2, takeoff=False, links=links, params={"COM_OF_LOSS_T": 3.0}) as gcs:
-        places = {name: gcs.place_of_home(name) for name in ("v1", "v2", "v3", "v4")}
-        starts = {name: (x, y, UP_M) for name, (x, y, _) in places.items()}
-        goals = {name: (x, y + 15.0, UP_M) for name, (x, y, _) in starts.items()}
+        places = above(gcs)
+        goals = north(places, 15.0)
         if kind == "phased":
             heights = {"v1": 8.0, "v2": 14.0, "v3": 8.0, "v4": 14.0}
             pairs = {"v1": "v2", "v2": "v1", "v3": "v4", "v4": "v3"}
             goals = {name: (*places[other][:2], heights[name]) for name, other in pairs.items()}
             climb = {name: (*places[name][:2], heights[name]) for name in places}
-            plan = phased(places, ("climb", climb), ("cross", goals))
+            plan = phased(above(gcs, up_m=0.0), ("climb", climb), ("cross", goals))
         else:
-            plan = timed(starts, goals)
+            plan = timed(places, goals)
         bad = asyncio.create_task(gaps(gcs, seed))
         try:
             began = gcs.now

@@ -10,28 +10,13 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.plan.fleet_plan import PhasedPlan
 from support.flown import SETPOINTS, Flown, flown
-from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, run, state, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import MARGIN_M, above, least_distance, load, northwards, plan_events, run, state, swap
 
 COPTER_LOITER = 5
 """ArduCopter's LOITER, which follows the sticks."""
 
 OVER = ("finished", "stopped", "aborted")
-
-
-def swap(gcs: Flown) -> PhasedPlan:
-    """Two vehicles to each other's place, in layers."""
-    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
-    low, high = UP_M, UP_M + 6.0
-    return phased(
-        {"v1": a, "v2": b},
-        ("climb", {"v1": (*a[:2], low), "v2": (*b[:2], high)}),
-        ("cross", {"v1": (*b[:2], low), "v2": (*a[:2], high)}),
-        ("descend", {"v2": (*a[:2], low)}),
-    )
 
 
 async def crossing(gcs: Flown, **params: Any) -> float:
@@ -121,8 +106,7 @@ async def test_one_that_is_carried_away_stops_all_and_flies_back_to_its_leg(tmp_
 
 async def test_ways_that_cannot_be_flown_are_refused_with_the_command_that_helps(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        starts = {f"v{n}": (*gcs.place_of_home(f"v{n}")[:2], UP_M) for n in (1, 2)}
-        await load(gcs, timed(starts, {name: (x, y + 12.0, z) for name, (x, y, z) in starts.items()}))
+        await load(gcs, northwards(above(gcs)))
         with pytest.raises(Exception, match="skygcs-cli plan make FILE --fleet --kind phased"):
             await gcs("plan.check", by="goto")
         with pytest.raises(Exception, match=r"no vehicle has a companion.*skygcs-cli plan run FILE --by setpoints"):

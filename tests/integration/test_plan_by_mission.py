@@ -12,9 +12,20 @@ import pytest
 from skygcs.core.plan.fleet_plan import PhasedPlan
 from skygcs.errors import RefusedError
 from support.flown import SETPOINTS, Flown, aloft, flown
-from support.planned import MARGIN_M, UP_M, least_distance, load, phased, plan_events, refused, run, state, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import (
+    MARGIN_M,
+    UP_M,
+    above,
+    least_distance,
+    load,
+    phased,
+    plan_events,
+    refused,
+    run,
+    state,
+    swap,
+    timed,
+)
 
 OVER = ("finished", "stopped", "aborted")
 BREAKS_OFF = {"FS_GCS_ENABLE": 1.0, "FS_OPTIONS": 16.0, "NAV_DLL_ACT": 2.0}
@@ -23,24 +34,10 @@ GOES_ON = {"FS_OPTIONS": 18.0, "COM_DLL_EXCEPT": 3.0}
 
 def parallel(gcs: Flown) -> PhasedPlan:
     """Each to the north, up, and to the side; nobody's way is near another's."""
-    names = [f"v{sim.sysid}" for sim in gcs.sims]
-    homes = {name: gcs.place_of_home(name) for name in names}
+    homes = above(gcs, up_m=0.0)
     north = {name: (x, y + 12.0 + 33.0 * i, UP_M) for i, (name, (x, y, _)) in enumerate(homes.items())}
     aside = {name: (x + (4.0 if i else -4.0), y, UP_M + 4.0) for i, (name, (x, y, _)) in enumerate(north.items())}
-    return phased(
-        homes, ("climb", {n: (x, y, UP_M) for n, (x, y, _) in homes.items()}), ("north", north), ("aside", aside)
-    )
-
-
-def swap(gcs: Flown) -> PhasedPlan:
-    """Two vehicles to each other's place, in layers: they need the barriers."""
-    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
-    return phased(
-        {"v1": a, "v2": b},
-        ("climb", {"v1": (*a[:2], UP_M), "v2": (*b[:2], UP_M + 6.0)}),
-        ("cross", {"v1": (*b[:2], UP_M), "v2": (*a[:2], UP_M + 6.0)}),
-        ("descend", {"v2": (*a[:2], UP_M)}),
-    )
+    return phased(homes, ("climb", above(gcs)), ("north", north), ("aside", aside))
 
 
 async def begun(gcs: Flown, **params: Any) -> PhasedPlan:

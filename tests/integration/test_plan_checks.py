@@ -13,19 +13,7 @@ from skygcs.core.plan.fleet_plan import FlightSpace
 from skygcs.core.trajectory import MotionLimits
 from skygcs.runtime.preflight_run import Preflight
 from support.flown import Flown, aloft, flown
-from support.planned import MARGIN_M, UP_M, load, phased, refused, state, timed
-
-pytestmark = pytest.mark.looptime
-
-Places = dict[str, tuple[float, float, float]]
-
-
-def above(gcs: Flown, *names: str, up_m: float = UP_M) -> Places:
-    return {name: (*gcs.place_of_home(name)[:2], up_m) for name in names}
-
-
-def north(places: Places, by_m: float = 12.0) -> Places:
-    return {name: (x, y + by_m, up) for name, (x, y, up) in places.items()}
+from support.planned import MARGIN_M, UP_M, above, load, north, phased, refused, state, timed
 
 
 async def report(gcs: Flown, **params: Any) -> dict[str, Any]:

@@ -15,34 +15,22 @@ from skygcs.errors import RefusedError
 from skygcs.ext.plans.flight_preparation import way_down
 from skygcs.sim.conditions import Conditions
 from support.called import plans_of
-from support.flown import Flown, aloft, flown
-from support.planned import MARGIN_M, UP_M, least_distance, plan_events, run, state, timed
+from support.flown import PAIRS, Flown, aloft, flown
+from support.planned import MARGIN_M, UP_M, above, least_distance, north, northwards, plan_events, run, state
 
 COSTS = "it flies a dozen plans of several vehicles from the ground to their ends"
 
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
-
-
-def crossing(gcs: Flown) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Two vehicles side by side that fly 12 m to the north, one beside the other."""
-    places = {f"v{sim.sysid}": gcs.place_of_home(f"v{sim.sysid}") for sim in gcs.sims}
-    starts = {name: (x, y, UP_M) for name, (x, y, _) in places.items()}
-    return starts, {name: (x, y + 12.0, UP_M) for name, (x, y, _) in places.items()}
-
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_a_timed_plan_is_flown_from_the_ground_to_its_end(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
-        starts, goals = crossing(gcs)
-        began = gcs.now
-        await run(gcs, timed(starts, goals))
+        starts, began = above(gcs), gcs.now
+        await run(gcs, northwards(starts))
         await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 180.0)
         assert state(gcs) == "finished"
         await asyncio.sleep(8.0)
-        for name, goal in goals.items():
+        for name, goal in north(starts).items():
             assert math.dist(gcs.place(name), goal) < 0.7
             assert gcs.is_safe(name)
         assert least_distance(gcs, began)[0] > MARGIN_M
@@ -55,8 +43,7 @@ def take_away_v2(gcs: Flown, kind: dict[str, int]) -> None:
 
 async def midway(gcs: Flown, **params: Any) -> float:
     """In the middle of the plan itself; when that was."""
-    starts, goals = crossing(gcs)
-    await run(gcs, timed(starts, goals), **params)
+    await run(gcs, northwards(above(gcs)), **params)
     await gcs.until(lambda: state(gcs) == "flying", 120.0)
     await gcs.until(lambda: gcs.place("v1")[1] > 3.0, 30.0)
     return gcs.now
@@ -74,7 +61,7 @@ async def test_an_order_to_one_vehicle_stops_all_and_is_named(tmp_path: Path) ->
 
 
 @pytest.mark.deep
-@KINDS
+@PAIRS
 async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         since = await midway(gcs)
@@ -95,7 +82,7 @@ async def test_a_late_vehicle_stops_all_and_the_pair_is_named(tmp_path: Path, ki
         assert gcs.place("v1")[1] > y_m + 2.0
 
 
-@KINDS
+@PAIRS
 async def test_a_lost_vehicle_stops_all_and_is_flown_on_with_when_it_is_heard_again(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
@@ -120,15 +107,14 @@ async def test_a_lost_vehicle_stops_all_and_is_flown_on_with_when_it_is_heard_ag
 @pytest.mark.deep
 async def test_a_resume_that_cannot_be_certified_names_the_pair(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=3, takeoff=False) as gcs:
-        starts, goals = crossing(gcs)
-        starts, goals = ({n: p for n, p in places.items() if n != "v3"} for places in (starts, goals))
-        await run(gcs, timed(starts, goals))
+        starts = above(gcs, "v1", "v2")
+        await run(gcs, northwards(starts))
         await gcs.until(lambda: state(gcs) == "flying", 120.0)
         await gcs("plan.pause")
         # one that takes no part flies into the way meanwhile, and stays
         await gcs.done("vehicles.takeoff", targets="v3", height_m=UP_M)
         await gcs.until(lambda: gcs.place("v3")[2] > UP_M - 0.5, 60.0)
-        x_m, y_m, _ = goals["v2"]
+        x_m, y_m, _ = north(starts)["v2"]
         await gcs.done("vehicles.goto", targets="v3", enu_m=[x_m, y_m - 3.0, UP_M], force=True)
         await gcs.until(lambda: math.dist(gcs.place("v3"), (x_m, y_m - 3.0, UP_M)) < 0.5, 60.0)
         await asyncio.sleep(3.0)
@@ -138,7 +124,7 @@ async def test_a_resume_that_cannot_be_certified_names_the_pair(tmp_path: Path) 
         await gcs.done("vehicles.land", targets="v3")
 
 
-@KINDS
+@PAIRS
 async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind, takeoff=False) as gcs:
         await midway(gcs)
@@ -171,8 +157,7 @@ async def test_pause_speed_resume_abort_and_then_land(tmp_path: Path, kind: dict
 async def test_the_tracking_error_of_the_fleet_file_widens_the_tube(tmp_path: Path) -> None:
     tables = {"vehicles": {"v1": {"sysid": 1, "separation": {"tracking_error_m": 1.3}}}}
     async with aloft(tmp_path, px4=2, tables=tables) as gcs:
-        starts, goals = crossing(gcs)
-        await run(gcs, timed(starts, goals))
+        await run(gcs, northwards(above(gcs)))
         report = (await gcs("plan.status"))["vehicles"]
         tubes = {vehicle["vehicle"]: vehicle["tube_m"] for vehicle in report}
         assert tubes["v1"] == pytest.approx(tubes["v2"] + 0.9)
@@ -182,13 +167,12 @@ async def test_a_barrier_that_was_passed_is_enough_for_the_next_step(tmp_path: P
     """Within its tube, but farther from its place than a trajectory of its own might begin."""
     control = {"trajectory": {"start_within_m": 0.1}}
     async with flown(tmp_path, px4=2, control=control, conditions=Conditions(gps_noise_m=0.25)) as gcs:
-        starts, goals = crossing(gcs)
-        await run(gcs, timed(starts, goals))
+        await run(gcs, northwards(above(gcs)))
         await gcs.until(lambda: state(gcs) in ("finished", "stopped", "aborted"), 180.0)
         assert state(gcs) == "finished", (await gcs("plan.status"))["reason"]
 
 
-@KINDS
+@PAIRS
 async def test_a_landing_takes_along_one_that_left_and_holds_but_not_one_that_a_pilot_flies(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:

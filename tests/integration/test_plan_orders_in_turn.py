@@ -7,24 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from unittest import mock
 
-import pytest
-
 from skygcs.core.monitor.departures import Departures
 from skygcs.runtime.returns import Returns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.flown import aloft, flown
-from support.planned import UP_M, phased, plan_events, run, state
-
-pytestmark = pytest.mark.looptime
+from support.planned import above, north, phased, plan_events, run, state
 
 
 async def test_an_order_of_a_plan_that_was_not_heard_is_not_given_again_over_a_later_hold(tmp_path: Path) -> None:
     """It had no number among the orders, and took the vehicle out of a hold that a person had ordered since."""
     async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
-        a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
-        climb = {"v1": (*a[:2], UP_M), "v2": (*b[:2], UP_M)}
-        go = {"v1": (a[0], 10.0, UP_M), "v2": (b[0], 10.0, UP_M)}
-        await run(gcs, phased({"v1": a, "v2": b}, ("climb", climb), ("go", go)), by="goto")
+        climbed = above(gcs)
+        await run(gcs, phased(above(gcs, up_m=0.0), ("climb", climbed), ("go", north(climbed, 10.0))), by="goto")
         await gcs.until(lambda: state(gcs) == "takeoff", 120.0)
         gcs.loses = frozenset({"COMMAND_INT"})
         since = await gcs.until(lambda: state(gcs) == "engaging", 120.0)
@@ -38,9 +32,7 @@ async def test_an_order_of_a_plan_that_was_not_heard_is_not_given_again_over_a_l
 
 async def test_an_order_that_waited_does_not_take_a_vehicle_from_a_later_plan(tmp_path: Path) -> None:
     async with aloft(tmp_path, px4=0, ardupilot=3) as gcs:
-        await gcs.done("vehicles.land", targets="v3")
-        await gcs.until(lambda: not gcs.sim("v3").armed, 120.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands("v3")
         await gcs.done("vehicles.takeoff", targets="v3", height_m=25.0)
         (x, y, up), other = gcs.place("v1"), gcs.place("v2")
         goto = asyncio.create_task(gcs("vehicles.goto", targets="v1,v3", enu_m=[x, y - 40.0, up]))
@@ -64,10 +56,8 @@ async def test_an_order_of_a_plan_does_not_make_a_later_one_of_a_person_void(tmp
         return await decide(self, free, **how)
 
     async with flown(tmp_path, px4=0, ardupilot=2, takeoff=False) as gcs:
-        a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
-        climb = {"v1": (*a[:2], UP_M), "v2": (*b[:2], UP_M)}
-        go = {"v1": (a[0], 10.0, UP_M), "v2": (b[0], 10.0, UP_M)}
-        await run(gcs, phased({"v1": a, "v2": b}, ("climb", climb), ("go", go)), by="goto")
+        climbed = above(gcs)
+        await run(gcs, phased(above(gcs, up_m=0.0), ("climb", climbed), ("go", north(climbed, 10.0))), by="goto")
         since = await gcs.until(lambda: state(gcs) == "engaging", 120.0)
         with mock.patch.object(Returns, "_decide", slow):
             outcomes = (await gcs("vehicles.rtl", targets="v1,v2"))["outcomes"]

@@ -5,13 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from skygcs.core.mission.item import MissionType
 from support.flown import Flown, flown
-from support.planned import MARGIN_M, UP_M, load, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import MARGIN_M, above, load, northwards
 
 
 def fence_of_30_m(gcs: Flown, *, lists: bool) -> None:
@@ -37,8 +33,7 @@ async def test_the_own_fence_is_looked_at_before_anything_moves_or_is_written(tm
     """A 30 m fence and a plan to 43.9 m: nothing was said. Refused runs wrote return heights all the same."""
     async with flown(tmp_path, px4=1, ardupilot=1, takeoff=False) as gcs:
         fence_of_30_m(gcs, lists=False)
-        starts = {name: (*gcs.place_of_home(name)[:2], UP_M) for name in ("v1", "v2")}
-        await load(gcs, timed(starts, {name: (x, y + 43.9, up) for name, (x, y, up) in starts.items()}))
+        await load(gcs, northwards(above(gcs), 43.9))
         for name, height in (("RTL_RETURN_ALT", 15.0), ("RTL_ALT", 1500)):
             for sim in gcs.sims:
                 sim.params.set(name, height)

@@ -13,9 +13,7 @@ import pytest
 from skygcs.sim.firmware_modes import CopterMode
 from support.called import plans_of
 from support.flown import Flown, flown
-from support.planned import MARGIN_M, UP_M, least_distance, load, run, state, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import MARGIN_M, UP_M, above, here, least_distance, load, north, northwards, reach, run, state
 
 LOITER = (4, 3)
 """PX4's AUTO.LOITER, as a pilot or another station sets it."""
@@ -28,19 +26,9 @@ COPTER_LOITER = 5
 @pytest.mark.parametrize("when", ["takeoff", "to_starts", "flying", "paused", "aborting", "landing"])
 async def test_a_pilot_keeps_what_he_took_and_the_others_are_safe(tmp_path: Path, when: str) -> None:
     async with flown(tmp_path, px4=2, takeoff=False) as gcs:
-        starts = {f"v{sim.sysid}": (*gcs.place_of_home(f"v{sim.sysid}")[:2], UP_M) for sim in gcs.sims}
         # the starts are away from where they take off, so that there is a way to them
-        starts = {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}
-        await run(gcs, timed(starts, {name: (x, y + 12.0, UP_M) for name, (x, y, _) in starts.items()}))
-        if when == "takeoff":
-            await gcs.until(lambda: all(sim.motion.up_m > 3.0 for sim in gcs.sims), 60.0)
-        elif when == "to_starts":
-            await gcs.until(lambda: state(gcs) == when, 90.0)
-        else:
-            await gcs.until(lambda: state(gcs) == "flying", 90.0)
-            await asyncio.sleep(4.0)
-        if when in ("paused", "aborting", "landing"):
-            await gcs({"paused": "plan.pause", "aborting": "plan.abort", "landing": "plan.land"}[when])
+        await run(gcs, northwards(north(above(gcs), 6.0)))
+        await reach(gcs, when)
         if when == "paused":
             await asyncio.sleep(1.0)
         gcs.other_sets_mode(*LOITER, sysid=2)
@@ -95,8 +83,7 @@ async def taken_by_pilot(gcs: Flown) -> float:
 
 async def test_one_that_its_pilot_takes_while_a_plan_is_checked_is_left_to_him(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=0, ardupilot=2) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await load(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
+        await load(gcs, northwards(here(gcs), 6.0))
         asked, ready = await held_up(gcs, "plan.run", margin_m=MARGIN_M, force=True)
         since = await taken_by_pilot(gcs)
         ready.set()
@@ -107,8 +94,7 @@ async def test_one_that_its_pilot_takes_while_a_plan_is_checked_is_left_to_him(t
 
 async def test_one_that_its_pilot_takes_while_a_plan_is_certified_anew_is_left_to_him(tmp_path: Path) -> None:
     async with flown(tmp_path, px4=0, ardupilot=2) as gcs:
-        starts = {name: gcs.place(name) for name in ("v1", "v2")}
-        await run(gcs, timed(starts, {name: (x, y + 12.0, up) for name, (x, y, up) in starts.items()}))
+        await run(gcs, northwards(here(gcs)))
         await gcs.until(lambda: state(gcs) == "flying", 90.0)
         await asyncio.sleep(3.0)
         gcs.sim("v2").motion.north_m -= 6.0  # a gust: there is a way back
@@ -124,8 +110,7 @@ async def test_one_that_its_pilot_takes_while_a_plan_is_certified_anew_is_left_t
 
 async def fly_to_the_end(gcs: Flown) -> None:
     """A plan of v1 and v2 has been flown, and they hold at its goals."""
-    starts = {name: gcs.place(name) for name in ("v1", "v2")}
-    await run(gcs, timed(starts, {name: (x, y + 6.0, up) for name, (x, y, up) in starts.items()}))
+    await run(gcs, northwards(here(gcs), 6.0))
     await gcs.until(lambda: state(gcs) == "finished", 120.0)
 
 

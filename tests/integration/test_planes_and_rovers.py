@@ -18,9 +18,7 @@ from skygcs.errors import RefusedError
 from skygcs.ext.formation.config import FormationConfig
 from skygcs.sim.vehicle import SimVehicle
 from support.flown import FIELD, Flown, flown
-from support.planned import MARGIN_M, load, timed
-
-pytestmark = pytest.mark.looptime
+from support.planned import MARGIN_M, above, load, northwards
 
 EMPTY: dict[str, Any] = {"px4": 0, "takeoff": False}
 
@@ -261,9 +259,7 @@ async def test_a_plan_and_a_formation_name_the_vehicle_that_cannot_hover(tmp_pat
         return config.model_copy(update={"extensions": {"formation": FormationConfig()}})
 
     async with flown(tmp_path, px4=1, takeoff=False, others={"rover": 1}, prepared=prepared) as gcs:
-        places = {name: (*gcs.place_of_home(name)[:2], 8.0) for name in ("v1", "v2")}
-        away = {name: (x, y + 12.0, up) for name, (x, y, up) in places.items()}
-        await load(gcs, timed(places, away))
+        await load(gcs, northwards(above(gcs, up_m=8.0)))
         findings = (await gcs("plan.check", margin_m=MARGIN_M))["findings"]
         states = {f["vehicle"]: f for f in findings if f["check"] == "state"}
         assert states["v1"]["severity"] != "refused", states

@@ -17,8 +17,6 @@ from skygcs.rpc.dispatch import InvalidParams
 from support.flown import Flown, aloft
 from support.planned import instant_planning
 
-pytestmark = pytest.mark.looptime
-
 WIDE = {"x_m": [-100, 100], "y_m": [-100, 100], "up_m": [0, 60]}
 
 

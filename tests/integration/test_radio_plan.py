@@ -16,8 +16,6 @@ from skygcs.runtime.link_view import LinkView
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
 
-pytestmark = pytest.mark.looptime
-
 NAV = {"link": {"stream_profile": "nav"}}
 FLOODED = {"stream_profile": "nav", "third_party": {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}}
 """Nobody is slowed down: what others send fills whatever is left."""

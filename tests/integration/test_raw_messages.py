@@ -16,8 +16,6 @@ from skygcs.errors import RefusedError
 from skygcs.rpc.dispatch import failure_reply
 from support.flown import Flown, aloft
 
-pytestmark = pytest.mark.looptime
-
 CLIMB = {"type_mask": 7, "q": [1.0, 0.0, 0.0, 0.0], "thrust": 0.8}
 
 

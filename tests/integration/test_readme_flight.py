@@ -6,12 +6,8 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from support.flown import Flown, flown
 from support.shell_examples import ROOT, commands
-
-pytestmark = pytest.mark.looptime
 
 NAMES = ("alpha", "bravo", "charlie")
 READING_S = 5.0

@@ -20,8 +20,6 @@ from skygcs.sim.ardupilot import CopterVehicle
 from support.flown import Flown
 from support.grounded import grounded
 
-pytestmark = pytest.mark.looptime
-
 FILE = """[daemon]
 record = false
 

@@ -14,14 +14,11 @@ from skygcs.cli.status import STATUS_COLUMNS, status_cells
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, Told, aloft
+from support.flown import KINDS, Flown, Told, aloft
 from support.returning import swapped
-
-pytestmark = pytest.mark.looptime
 
 WINDY = conditions_of(wind_mps=6.0)
 COPTER = {"px4": 0, "ardupilot": 1}
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, COPTER], ids=["px4", "ardupilot"])
 AWAY_S = 2.0
 
 

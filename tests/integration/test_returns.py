@@ -12,19 +12,16 @@ from skygcs.runtime import returns
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import GOING_HOME, Flown, aloft, flown
+from support.flown import GOING_HOME, PAIRS, Flown, aloft, flown
 from support.planned import MARGIN_M, least_distance
 from support.returning import all_down, swapped
 
 COSTS = "returns of several vehicles one after another, each from its take-off to its landing"
 
-pytestmark = pytest.mark.looptime
-
 WINDY = conditions_of(wind_mps=6.0)
-KINDS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
 
 
-@KINDS
+@PAIRS
 async def test_two_that_have_changed_places_come_home_apart(tmp_path: Path, kind: dict[str, int]) -> None:
     """They passed at .10 m (PX4) and .21 m (ArduCopter)."""
     async with aloft(tmp_path, conditions=WINDY, **kind) as gcs:
@@ -63,7 +60,7 @@ async def test_one_that_waits_where_another_one_flies_through_gets_out_of_its_wa
         assert least_distance(gcs, since)[0] > MARGIN_M
 
 
-@KINDS
+@PAIRS
 async def test_one_does_not_stop_before_another_that_follows_it(tmp_path: Path, kind: dict[str, int]) -> None:
     """It held at once, and the other one passed it at 1.3 m (random flight 58)."""
     async with aloft(tmp_path, **kind) as gcs:

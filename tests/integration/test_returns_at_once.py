@@ -22,8 +22,6 @@ from support.returning import all_down, swapped
 
 COSTS = "returns of three vehicles one after another, some flown twice"
 
-pytestmark = pytest.mark.looptime
-
 PERIOD_S = 0.5
 """The daemon decides so often who leaves."""
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.firmware_modes import Px4Mode
 from support.flown import FIELD, Flown, aloft
 from support.planned import MARGIN_M, least_distance
 from support.sim_pilot import int_param
-
-pytestmark = pytest.mark.looptime
 
 HOLDS_UP_M = 10.0
 

@@ -25,8 +25,6 @@ from support.hosts import until
 from support.pymav import PymavPeer
 from support.vehicles import parsed
 
-pytestmark = pytest.mark.looptime
-
 SERIAL_CONTROL = 126
 
 

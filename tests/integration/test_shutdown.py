@@ -20,8 +20,6 @@ from support.grounded import on_the_ground
 
 COSTS = "each of its daemons is ended in another order under way"
 
-pytestmark = pytest.mark.looptime
-
 WITHIN_S = 6.0
 """The daemon gives undos and holds 5 s; what comes after them takes no time but the recorder's."""
 

@@ -26,8 +26,6 @@ from support.daemons import made_daemon, memory_link, started
 from support.hosts import until
 from support.pymav import PymavPeer
 
-pytestmark = pytest.mark.looptime
-
 KEY = bytes(range(32))
 OTHER = bytes(range(1, 33))
 VEHICLE = 7 << 8 | 1

@@ -19,12 +19,10 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import RefusedError
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
 from support.daemons import memory_link
-from support.flown import FIELD, Flown, aloft
+from support.flown import FIELD, KINDS, Flown, aloft
 from support.pymav import PymavPeer
 
 COPTER = {"px4": 0, "ardupilot": 1}
-pytestmark = pytest.mark.looptime
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, COPTER], ids=["px4", "ardupilot"])
 ARMED, DISARMED = 0x81, 0x51
 
 

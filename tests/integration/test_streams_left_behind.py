@@ -13,8 +13,6 @@ from skygcs.sim.vehicle import SimVehicle
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 
-pytestmark = pytest.mark.looptime
-
 PX4, COPTER = 1, 2
 GONE_AFTER_S = 20.0
 

@@ -9,12 +9,9 @@ import pytest
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.vehicle_state import Home
-from support.flown import FIELD, Flown, flown
-
-pytestmark = pytest.mark.looptime
+from support.flown import FIELD, KINDS, Flown, flown
 
 WINDY = conditions_of(wind_mps=6.0)
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 
 def move_home(gcs: Flown, up_m: float, name: str = "v1") -> None:
@@ -47,9 +44,7 @@ async def test_home_moves_between_the_order_and_the_climb(tmp_path: Path, kind: 
         await gcs.done("vehicles.takeoff", height_m=5.0, wait_s=30.0)
         await asyncio.sleep(30.0)
         assert gcs.place()[2] == pytest.approx(5.0, abs=0.7)
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.actor().vehicle.armed, 120.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands()
         ordered = asyncio.create_task(gcs.outcome("vehicles.takeoff", height_m=5.0, wait_s=30.0))
         await gcs.until(lambda: gcs.sim().armed, 10.0)
         move_home(gcs, 8.0)
@@ -100,9 +95,7 @@ async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: d
         await asyncio.sleep(20.0)
         assert gcs.place()[0] > 25.0
         # one that a newer order takes the place of, or whose take-off is disturbed, is not carried out
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.actor().vehicle.armed, 120.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands()
         await gcs.done("vehicles.takeoff", height_m=15.0, wait_s=30.0)
         waits = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=[0.0, 0.0, 15.0]))
         await asyncio.sleep(2.0)
@@ -110,18 +103,14 @@ async def test_a_goto_waits_until_the_take_off_has_ended(tmp_path: Path, kind: d
         assert "a newer order took its place" in (await waits)["message"]
         await gcs.done("vehicles.goto", enu_m=[0.0, 0.0, 15.0])
         # nor is one in the frame that was another one when it was given: it went 45 m beside
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.actor().vehicle.armed, 180.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands()
         await gcs.done("vehicles.takeoff", height_m=15.0, wait_s=30.0)
         waits = asyncio.create_task(gcs.outcome("vehicles.goto", enu_m=[10.0, 0.0, 15.0]))
         await asyncio.sleep(1.0)
         await gcs("origin.set", lat_deg=FIELD.lat_deg + 0.0005, lon_deg=FIELD.lon_deg, alt_amsl_m=FIELD.alt_amsl_m)
         assert "frame was changed" in (await waits)["message"]
         # insisted on, it goes at once
-        await gcs.done("vehicles.land")
-        await gcs.until(lambda: not gcs.actor().vehicle.armed, 180.0)
-        await asyncio.sleep(3.0)
+        await gcs.lands()
         await gcs.done("vehicles.takeoff", height_m=15.0, wait_s=30.0)
         await gcs.done("vehicles.goto", enu_m=[0.0, 0.0, 15.0], force=True)
         assert gcs.place()[2] < 6.0

@@ -19,8 +19,6 @@ from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 from support.rtcm import rtcm_frame
 
-pytestmark = pytest.mark.looptime
-
 VEHICLES = list(range(1, 11))
 AGE_S = 2.5
 ASK_INTERVAL = 510

@@ -11,11 +11,7 @@ import pytest
 
 from skygcs.core.geo import EnuFrame
 from skygcs.sim.conditions import Conditions
-from support.flown import FIELD, Flown, flown
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import FIELD, KINDS, Flown, flown
 
 RADIUS_M, SPEED_MPS, UP_M = 5.0, 2.0, 10.0
 FLOWN_S, RAMP_S, PIECE_S = 120.0, 8.0, 0.5

@@ -10,11 +10,7 @@ from typing import Any
 import pytest
 
 from skygcs.sim.firmware_modes import CopterMode, Px4Mode
-from support.flown import Flown, aloft, flown
-
-pytestmark = pytest.mark.looptime
-
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+from support.flown import KINDS, Flown, aloft, flown
 
 UP_M = 10.0
 

@@ -6,18 +6,14 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.conditions import conditions_of
 from skygcs.sim.firmware_modes import CopterMode
-from support.flown import Flown, aloft
-
-pytestmark = pytest.mark.looptime
+from support.flown import KINDS, Flown, aloft
 
 WINDY = conditions_of(wind_mps=6.0)
 COPTER = {"px4": 0, "ardupilot": 1}
-KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, COPTER], ids=["px4", "ardupilot"])
 
 
 async def left_alone(gcs: Flown, by: Callable[[], object]) -> float:

@@ -19,8 +19,6 @@ from support.random_flights import fly_randomly, watched
 from support.random_orders import fly_by_orders
 from support.random_plans import fly_a_plan
 
-pytestmark = pytest.mark.looptime
-
 
 async def test_orders_denials_pilots_links_and_restarts(tmp_path: Path) -> None:
     judged = await fly_randomly(tmp_path, 16)

@@ -7,11 +7,7 @@ import time
 from pathlib import Path
 from unittest import mock
 
-import pytest
-
 from support.flown import aloft
-
-pytestmark = pytest.mark.looptime
 
 DAY_S = 86_400.0
 

@@ -272,10 +272,7 @@ def attitude_then_silence(rig: Rig) -> Figures:
     rig.run(0.2)
     level = rig.wait(lambda: abs(rig.heard["ATTITUDE"].pitch) < 0.02, 10)
     rig.run(4)
-    figures = {
-        "level after s": level and round(level + 0.2, 1),
-        **modes_since(rig, since, "mode after s"),
-    }
+    figures = {"level after s": level and round(level + 0.2, 1), **modes_since(rig, since, "mode after s")}
     end(rig)
     return figures
 
@@ -309,10 +306,7 @@ def ground_station_lost(rig: Rig) -> Figures:
     since = rig.now
     rig.run(22)
     rig.silent = False
-    figures = {
-        **modes_since(rig, since),
-        "texts": [t for t in rig.texts[-8:]],
-    }
+    figures = {**modes_since(rig, since), "texts": [t for t in rig.texts[-8:]]}
     rig.run(3)
     figures["back again"] = hex(rig.mode) if rig.px4 else rig.mode
     end(rig)
@@ -328,10 +322,7 @@ def battery_critical(rig: Rig) -> Figures:
     since, heard = rig.now, len(rig.texts)
     set_params(rig, {"BAT_LOW_THR": 0.9999, "BAT_CRIT_THR": 0.999}, {"BATT_LOW_MAH": 100000})
     rig.run(20)
-    figures = {
-        **modes_since(rig, since),
-        "texts": rig.texts[heard:],
-    }
+    figures = {**modes_since(rig, since), "texts": rig.texts[heard:]}
     usual = {"BAT_CRIT_THR": 0.07, "BAT_LOW_THR": 0.15, "COM_LOW_BAT_ACT": 0}
     set_params(rig, usual, {"BATT_LOW_MAH": 0, "BATT_FS_LOW_ACT": 0})
     end(rig)

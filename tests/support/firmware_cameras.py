@@ -53,13 +53,7 @@ def connect(kind, config):
 """
 
 INDOORS = {
-    "px4": (
-        "SENS_EN_GPSSIM=0",
-        "SYS_HAS_GPS=0",
-        "SENS_EN_MAGSIM=0",
-        "SYS_HAS_MAG=0",
-        "EKF2_MAG_TYPE=5",
-    ),
+    "px4": ("SENS_EN_GPSSIM=0", "SYS_HAS_GPS=0", "SENS_EN_MAGSIM=0", "SYS_HAS_MAG=0", "EKF2_MAG_TYPE=5"),
     "ardupilot": (
         "SIM_GPS1_ENABLE=0",  # 4.7's name, SIM_GPS_DISABLE before: there is no receiver
         "SIM_GPS_DISABLE=1",
@@ -119,11 +113,7 @@ class Cameras:
         turned = math.radians(ROTATION_DEG)
         x, y, z = (at - offset for at, offset in zip(self.enu_m, OFFSET_M, strict=True))
         noise = self._random.gauss
-        place = [
-            math.cos(turned) * x + math.sin(turned) * y,
-            -math.sin(turned) * x + math.cos(turned) * y,
-            z,
-        ]
+        place = [math.cos(turned) * x + math.sin(turned) * y, -math.sin(turned) * x + math.cos(turned) * y, z]
         angles = (roll, -pitch, math.pi / 2 - yaw - turned)
         q = Quaternion([angle + noise(0.0, NOISE_RAD) for angle in angles]).q
         return [value + noise(0.0, NOISE_M) for value in place] + [float(value) for value in q]

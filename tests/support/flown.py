@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
@@ -65,6 +66,10 @@ ASKS_S = 2.0
 
 SEEN_S = 2.0
 """The daemon has by then heard that a vehicle that was put into the air flies: its heartbeats come once a second."""
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+PAIRS = pytest.mark.parametrize("kind", [{"px4": 2}, {"px4": 0, "ardupilot": 2}], ids=["px4", "ardupilot"])
+"""One vehicle, and two, of each firmware."""
 
 HOLDING = frozenset({Px4Mode.LOITER, CopterMode.BRAKE, CopterMode.LOITER, CopterMode.GUIDED})
 GOING_HOME = frozenset({Px4Mode.RTL, Px4Mode.LAND, CopterMode.RTL, CopterMode.LAND})
@@ -192,6 +197,13 @@ class Flown(Ordering):
         await self.step(3.0, 0.0, 0.0)
         await asyncio.sleep(1.0)
         return start
+
+    async def lands(self, *names: str) -> None:
+        """Land where it is (v1, unless others are named), and see it disarmed."""
+        flying = names or ("v1",)
+        await self.done("vehicles.land", targets=",".join(flying))
+        await self.until(lambda: not any(self.sim(name).armed for name in flying), 180.0)
+        await asyncio.sleep(3.0)
 
     def actor(self, name: str = "v1") -> VehicleActor:
         return self.daemon.fleet.find(name)
@@ -451,13 +463,7 @@ async def flown(
                 sim.params.set("COM_OBL_RC_ACT", int_param(5))  # as docs/explanation/flight-control.md asks for
             for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
                 sim.params.set(name, value)  # a firmware that has none of this name takes no notice
-        running = asyncio.create_task(daemon.run(), name="the daemon")
-        await daemon.ready.wait()
-        link = memory_link(daemon, "air")
-        gcs = Flown(daemon, sims, link, running=running)
-        living = asyncio.create_task(gcs.live())
-        try:
-            await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
+        async with alive(daemon, sims) as gcs:
             await asyncio.sleep(ASKS_S if in_air else 7.0)  # the estimators converge, and the daemon asks
             if in_air:
                 for sim in sims:
@@ -470,14 +476,26 @@ async def flown(
             assert not setpoints_end or all(
                 s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS
             ), "setpoints after the end"
-            assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
-        finally:
-            living.cancel()
-            await asyncio.gather(living, return_exceptions=True)
-            gcs.daemon.stop()
-            assert gcs.running is not None
-            with contextlib.suppress(asyncio.CancelledError):
-                await gcs.running
+
+
+@contextlib.asynccontextmanager
+async def alive(daemon: Daemon, sims: list[SimVehicle]) -> AsyncIterator[Flown]:
+    """The daemon runs, and has heard these vehicles behind its memory link "air". No fault of ours may be told."""
+    running = asyncio.create_task(daemon.run(), name="the daemon")
+    await daemon.ready.wait()
+    gcs = Flown(daemon, sims, memory_link(daemon, "air"), running=running)
+    living = asyncio.create_task(gcs.live())
+    try:
+        await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
+        yield gcs
+        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
+    finally:
+        living.cancel()
+        await asyncio.gather(living, return_exceptions=True)
+        gcs.daemon.stop()
+        assert gcs.running is not None
+        with contextlib.suppress(asyncio.CancelledError):
+            await gcs.running
 
 
 def aloft(tmp_path: Path, **options: Any) -> contextlib.AbstractAsyncContextManager[Flown]:

@@ -11,8 +11,8 @@ from typing import Any
 from skygcs.config.dialects import load_dialect
 from skygcs.daemon import Daemon
 from skygcs.sim.vehicle_group import make_vehicles
-from support.daemons import made_daemon, memory_link
-from support.flown import FIELD, Flown
+from support.daemons import made_daemon
+from support.flown import FIELD, Flown, alive
 
 
 @contextlib.asynccontextmanager
@@ -38,19 +38,6 @@ async def grounded(daemon: Daemon, *, settle_s: float) -> AsyncIterator[Flown]:
         now=daemon.now(),
         unix_us=1_700_000_000_000_000,
     )
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    gcs = Flown(daemon, sims, memory_link(daemon, "air"))
-    living = asyncio.create_task(gcs.live())
-    gcs.running = running
-    try:
-        await gcs.until(lambda: len(daemon.fleet.vehicles) == 2)
+    async with alive(daemon, sims) as gcs:
         await asyncio.sleep(settle_s)
         yield gcs
-        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
-    finally:
-        living.cancel()
-        await asyncio.gather(living, return_exceptions=True)
-        daemon.stop()
-        if not running.cancelled():
-            await running

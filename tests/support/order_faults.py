@@ -261,6 +261,13 @@ async def _settled(sent: OrdersSent, order: Given) -> dict[str, Any]:
     return answer
 
 
+def count(given: list[Given], daemon: ModelDaemon, happened: Counter[str]) -> None:
+    """Orders as shown and settled, and executions."""
+    happened.update(f"shown: {order.shown}" for order in given)
+    happened.update(f"settled: {order.settled['status']}" for order in given if order.settled is not None)
+    happened["executions"] += daemon.executions.total()
+
+
 def verdicts(given: list[Given], daemon: ModelDaemon, home: HomeBridge, *, time_slack_s: float = 0.0) -> list[str]:
     """What contradicts the model; call it again later: what was not carried out never is."""
     wrong = []

@@ -6,20 +6,31 @@ import asyncio
 import json
 import random
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 from skygcs.ext.federation.bridge.orders_sent import OrdersSent
 from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from support.memory_hub import Faults, MemoryBus, MemoryHub
-from support.order_faults import HomeBridge, ModelDaemon, run_schedule, verdicts
+from support.order_faults import HomeBridge, ModelDaemon, count, run_schedule, verdicts
 
 HOME = "north"
 CLOCK_AHEAD_S = 12345.0
 """Of the home site's clock."""
 
 
-async def memory_schedule(seed: int, folder: Path) -> tuple[list[str], Counter[str]]:
-    """What contradicts the model in one schedule, and what happened: orders as shown and settled, faults by kind."""
+async def memory_schedules(seeds: Iterable[int], folder: Path) -> tuple[list[str], Counter[str]]:
+    """What contradicts the model in these schedules, and what happened: orders as shown and settled, faults by kind."""
+    wrong: list[str] = []
+    happened: Counter[str] = Counter()
+    for seed in seeds:
+        own = folder / f"memory-{seed}"
+        own.mkdir()
+        wrong += await _schedule(seed, own, happened)
+    return wrong, happened
+
+
+async def _schedule(seed: int, folder: Path, happened: Counter[str]) -> list[str]:
     loop = asyncio.get_running_loop()
     rng = random.Random(seed)
     hub = MemoryHub(seed)
@@ -27,7 +38,6 @@ async def memory_schedule(seed: int, folder: Path) -> tuple[list[str], Counter[s
     home = HomeBridge(HOME, daemon, folder, lambda: loop.time() + CLOCK_AHEAD_S)
     station = MemoryBus(hub, loop)
     buses = {"station": station, "home": _start(home, hub, loop)}
-    happened: Counter[str] = Counter()
     await asyncio.sleep(0.2)
     numbers = iter(range(10**6))
     sent = OrdersSent(
@@ -77,12 +87,8 @@ async def memory_schedule(seed: int, folder: Path) -> tuple[list[str], Counter[s
     await asyncio.sleep(20.0)  # for copies that are still on their way
     wrong += [text for text in verdicts(given, daemon, home) if text not in wrong]
     await home.stop()
-    for order in given:
-        happened[f"shown: {order.shown}"] += 1
-        if order.settled is not None:
-            happened[f"settled: {order.settled['status']}"] += 1
-    happened["executions"] = daemon.executions.total()
-    return [f"seed {seed}: {text}" for text in wrong], happened
+    count(given, daemon, happened)
+    return [f"seed {seed}: {text}" for text in wrong]
 
 
 def _start(home: HomeBridge, hub: MemoryHub, loop: asyncio.AbstractEventLoop) -> MemoryBus:

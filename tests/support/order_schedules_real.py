@@ -21,7 +21,7 @@ from skygcs.ext.federation.protocol.remote_sites import RemoteSites
 from support.hub import Hub, until
 from support.hub_proxy import HubProxy
 from support.memory_hub import Faults
-from support.order_faults import LENGTH_S, HomeBridge, ModelDaemon, run_schedule, verdicts
+from support.order_faults import LENGTH_S, HomeBridge, ModelDaemon, count, run_schedule, verdicts
 
 LATE_COPIES_S = 8.0
 """After the healing, for copies that are still on their way: a stop may be 5 s late."""
@@ -111,11 +111,7 @@ class _Schedule:
                 running.cancel()
                 await asyncio.gather(running, return_exceptions=True)
                 await self._stop_home()
-        for order in given:
-            self.happened[f"shown: {order.shown}"] += 1
-            if order.settled is not None:
-                self.happened[f"settled: {order.settled['status']}"] += 1
-        self.happened["executions"] += self.daemon.executions.total()
+        count(given, self.daemon, self.happened)
         return [f"seed {self.seed}: {text}" for text in (*wrong, *(text for text in late if text not in wrong))]
 
     async def _fault(self, _: float) -> None:

@@ -38,6 +38,37 @@ def phased(starts: Places, *phases: tuple[str, Places]) -> PhasedPlan:
     return PhasedPlan(dict(starts), tuple(Phase(name, dict(goals)) for name, goals in phases))
 
 
+def above(gcs: Flown, *names: str, up_m: float = UP_M) -> dict[str, Vector]:
+    """Places above the homes of these vehicles, or of all."""
+    return {name: (*gcs.place_of_home(name)[:2], up_m) for name in names or [f"v{sim.sysid}" for sim in gcs.sims]}
+
+
+def here(gcs: Flown) -> dict[str, Vector]:
+    """Where v1 and v2 are."""
+    return {name: gcs.place(name) for name in ("v1", "v2")}
+
+
+def north(places: Places, by_m: float = 12.0) -> dict[str, Vector]:
+    return {name: (x, y + by_m, up) for name, (x, y, up) in places.items()}
+
+
+def northwards(starts: Places, by_m: float = 12.0) -> TimedPlan:
+    """All straight to the north, one beside the other."""
+    return timed(starts, north(starts, by_m))
+
+
+def swap(gcs: Flown) -> PhasedPlan:
+    """Two vehicles to each other's place, in layers: they need the barriers."""
+    a, b = gcs.place_of_home("v1"), gcs.place_of_home("v2")
+    low, high = UP_M, UP_M + 6.0
+    return phased(
+        {"v1": a, "v2": b},
+        ("climb", {"v1": (*a[:2], low), "v2": (*b[:2], high)}),
+        ("cross", {"v1": (*b[:2], low), "v2": (*a[:2], high)}),
+        ("descend", {"v2": (*a[:2], low)}),
+    )
+
+
 def content(plan: Plan, space: FlightSpace | None = None) -> dict[str, Any]:
     """The plan as plan.load takes it."""
     found: dict[str, Any] = json.loads(write_plan_json(plan, space or FlightSpace()))
@@ -73,6 +104,20 @@ def refused(report: Mapping[str, Any]) -> list[str]:
 
 def state(gcs: Flown) -> str:
     return str(gcs.daemon.fleet.plans.status()["state"])
+
+
+async def reach(gcs: Flown, when: str) -> None:
+    """A plan that has begun: in the air, in a state on the way to its starts, or after 4 s of flight paused, aborted or
+    ordered to land."""
+    if when == "takeoff":
+        await gcs.until(lambda: all(sim.motion.up_m > 3.0 for sim in gcs.sims), 60.0)
+    elif when in ("engaging", "to_starts"):
+        await gcs.until(lambda: state(gcs) == when, 90.0)
+    else:
+        await gcs.until(lambda: state(gcs) == "flying", 90.0)
+        await asyncio.sleep(4.0)
+        if when != "flying":
+            await gcs({"paused": "plan.pause", "aborting": "plan.abort", "landing": "plan.land"}[when])
 
 
 def plan_events(gcs: Flown, since: float = 0.0) -> list[str]:

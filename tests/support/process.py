@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import random
 import signal
 import socket
@@ -12,7 +11,6 @@ import struct
 import subprocess
 import sys
 import time
-import tty
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -92,44 +90,6 @@ def cli_at(socket: Path, *words: str | Path, code: int = 0) -> str:
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout + done.stderr
-
-
-class PtyRadio:
-    """The far side of a radio's serial port; ``path`` is a symlink, so that it can be unplugged and plugged again."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.master = -1
-        self.plug()
-
-    def plug(self) -> None:
-        self.master, slave = pty.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self.master, False)
-        if self.path.is_symlink():
-            self.path.unlink()
-        self.path.symlink_to(os.ttyname(slave))
-        os.close(slave)
-
-    def unplug(self) -> None:
-        if self.master >= 0:
-            os.close(self.master)
-            self.master = -1
-        if self.path.is_symlink():
-            self.path.unlink()
-
-    def send(self, data: bytes) -> None:
-        while data:
-            try:
-                data = data[os.write(self.master, data) :]
-            except BlockingIOError:
-                time.sleep(0.001)
-
-    def read(self) -> bytes:
-        try:
-            return os.read(self.master, 65536)
-        except (BlockingIOError, OSError):
-            return b""
 
 
 class DaemonProcess:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 import tty
 from pathlib import Path
 
@@ -41,6 +42,11 @@ class PtyRadio:
             return os.write(self.fd, data)
         except BlockingIOError:
             return 0
+
+    def send(self, data: bytes) -> None:
+        """All of it towards the port, as soon as it takes it."""
+        while data := data[self.write(data) :]:
+            time.sleep(0.001)
 
     def read(self) -> bytes:
         """What the port has sent so far."""

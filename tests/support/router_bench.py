@@ -71,7 +71,7 @@ def rss_mb(pid: int) -> float:
 @dataclass
 class Router:
     """A router to measure. ``command``: arguments, with {vehicles} (port it listens on), {gcs} (port of the ground
-    station it sends to), {serial} (its device, where it has one) and {folder}; ``fleet`` is written to
+    station it sends to) and {folder}; ``fleet`` is written to
     {folder}/fleet.toml first."""
 
     name: str
@@ -91,15 +91,8 @@ class Running:
     gcs_ports: list[int]
 
 
-def skygcs(
-    name: str, *, keep_vehicles: bool, record: bool, pure: bool = False, gcs: int = 1, serial: bool = False
-) -> Router:
-    """skygcs as a router between one port of vehicles (or a serial port) and ``gcs`` ground stations."""
-    source = (
-        'type = "serial"\ndevice = "{serial}"\nbaud = 921600'
-        if serial
-        else 'type = "udp_server"\nhost = "127.0.0.1"\nport = {vehicles}'
-    )
+def skygcs(name: str, *, keep_vehicles: bool, record: bool, pure: bool = False, gcs: int = 1) -> Router:
+    """skygcs as a router between one port of vehicles and ``gcs`` ground stations."""
     fleet = f"""
 [daemon]
 socket = "{{folder}}/s"
@@ -107,8 +100,10 @@ log_dir = "{{folder}}/logs"
 record = {str(record).lower()}
 keep_vehicles = {str(keep_vehicles).lower()}
 [links.vehicles]
-{source}
-role = "{"vehicle" if serial else "radio"}"
+type = "udp_server"
+host = "127.0.0.1"
+port = {{vehicles}}
+role = "radio"
 """
     for n in range(gcs):
         fleet += f'[links.gcs{n}]\ntype = "udp_client"\nhost = "127.0.0.1"\nport = {{gcs{n}}}\nrole = "gcs"\n'
@@ -121,27 +116,20 @@ def forwarder(folder: Path) -> Router:
     return Router("bare C forwarder", [build(folder, "forwarder"), "{vehicles}", "{gcs}"])
 
 
-def mavproxy(executable: str, folder: Path, *, gcs: int = 1, serial: bool = False) -> Router:
+def mavproxy(executable: str, folder: Path) -> Router:
     """MAVProxy with its output module only, as cheap as it gets."""
-    command = [executable, "--master={serial},921600" if serial else "--master=udpin:127.0.0.1:{vehicles}"]
-    command += [f"--out=udpout:127.0.0.1:{{gcs{n}}}" for n in range(gcs)]
+    command = [executable, "--master=udpin:127.0.0.1:{vehicles}", "--out=udpout:127.0.0.1:{gcs0}"]
     command += ["--default-modules=output", "--no-state", "--daemon", "--nowait"]
     return Router("MAVProxy, output module only", command, environment={"HOME": str(folder)})
 
 
-def uvloop_echo() -> Router:
-    """What the event loop alone costs between a serial port and a UDP port."""
-    script = Path(__file__).with_name("uvloop_echo.py")
-    return Router("bare uvloop echo", [sys.executable, str(script), "{serial}", "{gcs0}"])
-
-
 @contextmanager
-def running(router: Router, folder: Path, *, gcs: int = 1, serial: str = "") -> Iterator[Running]:
+def running(router: Router, folder: Path, *, gcs: int = 1) -> Iterator[Running]:
     """Start a router, pinned; stop it at the end."""
     home = folder / "".join(c if c.isalnum() else "-" for c in router.name)
     home.mkdir(parents=True, exist_ok=True)
     ports = {"vehicles": free_port(), **{f"gcs{n}": free_port() for n in range(gcs)}}
-    words = {**ports, "gcs": ports["gcs0"], "folder": home, "serial": serial}
+    words = {**ports, "gcs": ports["gcs0"], "folder": home}
     if router.fleet:
         (home / "fleet.toml").write_text(router.fleet.format(**words))
     with (home / "out").open("wb") as out:
@@ -177,7 +165,6 @@ def wait_forwarding(target: Running, load: list[str], **options: Any) -> None:
 
 def run_load(target: Running, load: list[str], **options: Any) -> dict[str, Any]:
     """One run of the generator; its report, with the router's ``cpu_us`` per received frame and ``rss_mb`` added."""
-    fd = options.get("fd")
     words = [f"{k}={v}" for k, v in options.items()]
     words += [f"to={target.vehicles_port}", "gcs=" + ",".join(map(str, target.gcs_ports))]
     pid = target.process.pid
@@ -186,7 +173,6 @@ def run_load(target: Running, load: list[str], **options: Any) -> dict[str, Any]
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        pass_fds=() if fd is None else (fd,),
         preexec_fn=lambda: os.sched_setaffinity(0, {LOAD_CPU}),
     ) as process:
         assert process.stdin is not None and process.stdout is not None

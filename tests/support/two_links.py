@@ -161,11 +161,8 @@ async def two_links(
     tmp_path: Path,
     *,
     px4: int = 0,
-    ardupilot: int = 3,
+    ardupilot: int = 0,
     radio: Mapping[str, Any] | None = None,
-    link: Mapping[str, Any] | None = None,
-    seed: int = 1,
-    **defaults: Any,
 ) -> AsyncIterator[TwoLinks]:
     """From the moment at which every vehicle's network link carries its state and the radio has its plan."""
     vehicles = px4 + ardupilot
@@ -174,17 +171,16 @@ async def two_links(
         tmp_path,
         origin=FIELD,
         links={
-            "air": {**air, "seed": seed, "stream_profile": "nav", "radio": dict(radio or {}), **(link or {})},
+            "air": {**air, "seed": 1, "stream_profile": "nav", "radio": dict(radio or {})},
             **{f"wifi{n}": {"type": "memory"} for n in range(1, vehicles + 1)},
         },
-        defaults=defaults,
     )
     async with started(daemon):
         field_ = TwoLinks(daemon)
         await field_.until(lambda: field_.link.channels)
         for sim in field_.link.vehicles:
             wifi = memory_link(daemon, f"wifi{sim.sysid}")
-            field_.ports[sim.sysid] = NetworkPort(sim, wifi, field_.delivered, seed * 1000 + sim.sysid)
+            field_.ports[sim.sysid] = NetworkPort(sim, wifi, field_.delivered, 1000 + sim.sysid)
             _log_radio(field_, sim)
         ticking = asyncio.create_task(_tick(field_), name="network ports")
         try:

@@ -13,7 +13,8 @@ import pytest
 
 from skygcs.config.dialects import offline_dialect
 from skygcs.tlog.reading import LogReader
-from support.process import DaemonProcess, PtyRadio, free_port, wait_until
+from support.process import DaemonProcess, free_port, wait_until
+from support.pseudo_tty import PtyRadio
 from support.pymav import PymavPeer, TcpPeer, UdpPeer
 
 pytestmark = pytest.mark.system
@@ -26,6 +27,7 @@ class Field:
         self.udp_port = free_port()
         self.tcp_port = free_port(socket.SOCK_STREAM)
         self.radio = PtyRadio(folder / "radio")
+        self.radio.plug_in()
         self.daemon = DaemonProcess(
             folder,
             f"""
@@ -93,7 +95,7 @@ sysid = 2
         for peer in self.peers:
             peer.close()
         self.daemon.stop()
-        self.radio.unplug()
+        self.radio.pull_out()
 
 
 @pytest.fixture
@@ -157,11 +159,11 @@ def test_mavlink_1_and_2_mix_on_one_link(field: Field) -> None:
 
 
 def test_an_unplugged_radio_comes_back_and_nothing_else_notices(field: Field) -> None:
-    field.radio.unplug()
+    field.radio.pull_out()
     wait_until(lambda: _link(field, "radio")["state"] != "up", "the daemon sees the unplugged radio")
     field.v3.send(field.v3.heartbeat())
     wait_until(lambda: ("HEARTBEAT", 3, 1) in field.saw(field.script), "others are still routed")
-    field.radio.plug()
+    field.radio.plug_in()
     wait_until(lambda: _link(field, "radio")["state"] == "up", "the radio is back")
     field.clear()
     field.radio.send(field.v1.heartbeat())

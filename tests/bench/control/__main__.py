@@ -17,7 +17,6 @@ from typing import Any
 from bench.control.docs_tables import ON_THE_PAGE, differences, write_tables
 from bench.control.figures import Section, virtual_sections
 from bench.control.fleet import ROOT, Load, carry
-from bench.control.fleet_report import fleet_section
 from bench.control.moving_figures import moving_sections
 from bench.results import OUT, keep
 
@@ -60,8 +59,8 @@ def main() -> int:
     for load in loads:
         profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None
         with tempfile.TemporaryDirectory() as folder:
-            carried = carry(replace(load, realtime=options.realtime), Path(folder), profile)
-        _show(fleet_section(carried), told, missed)
+            section = carry(replace(load, realtime=options.realtime), Path(folder), profile)
+        _show(section, told, missed)
     told["missed"] = missed
     told["seconds"] = round(time.monotonic() - began, 1)
     print(f"\n{told['seconds']:.0f} s; all of it in {keep('control', told)}")
@@ -72,7 +71,7 @@ def main() -> int:
 
 def _show(section: Section, told: dict[str, Any], missed: list[str]) -> None:
     print(f"\n{section.title}\n{section.text()}", flush=True)
-    told[section.key] = section.data
+    told[section.key] = section.data()
     missed += section.missed
 
 

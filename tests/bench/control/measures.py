@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,14 +34,6 @@ def swing_m(track_m: Sequence[float], last_s: float, period_s: float) -> float:
     """Peak to peak over the last seconds."""
     last = track_m[-max(1, round(last_s / period_s)) :]
     return max(last) - min(last)
-
-
-def percentile(values: Sequence[float], share: float) -> float:
-    """Nearest rank: the least value that ``share`` of them do not exceed. Raises ValueError for none."""
-    if not values:
-        raise ValueError("no values")
-    ordered = sorted(values)
-    return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import math
-import tempfile
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import structlog
-
+from bench.results import in_virtual_time
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.conditions import Conditions
 from support.flown import Flown, flown
 from support.virtual_uvloop import VirtualUvloop
 
-T = TypeVar("T")
 Vector = tuple[float, float, float]
 Motion = tuple[Vector, Vector, Vector]
 """Position, velocity and acceleration."""
@@ -118,16 +114,9 @@ def _square(t: float, side: float, radius: float) -> Motion:
     return (x - radius, y, 0.0), (*velocity, 0.0), (*acceleration, 0.0)
 
 
-def in_virtual_time(flight: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
-    """Run a flight of `support.flown` on a loop of its own; the folder is its log's."""
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualUvloop) as runner:
-        return runner.run(flight(Path(folder)))
-
-
 def track(case: Case, path: Path3) -> Tracked:
     """Fly the path and measure."""
-    return in_virtual_time(lambda folder: _track(case, path, folder))
+    return in_virtual_time(lambda folder: _track(case, path, folder), VirtualUvloop)
 
 
 async def _track(case: Case, path: Path3, folder: Path) -> Tracked:

@@ -12,18 +12,17 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import structlog
 
+from bench.results import Found, in_virtual_time
 from skygcs.rpc.client import Client
 from support.fake_daemon import FakeDaemon
 from support.federated import site
 from support.hub import Hub
 from support.hub_proxy import HubProxy
-from support.order_schedules import memory_schedule
+from support.order_schedules import memory_schedules
 from support.order_schedules_real import real_schedules
-from support.virtual_asyncio import VirtualAsyncio
 
 MEMORY_SCHEDULES = 180
 REAL_SCHEDULES = 24
@@ -37,19 +36,13 @@ orders below have none."""
 ROUNDS = 5
 FAILS_WITHIN_S, HEALED_WITHIN_S = 1.0, 2.0
 
-Found = dict[str, Any]
-
 
 def measure_faults(_: float) -> Found:
     """``schedules``: contradictions and what happened; ``times``: seconds of each order and of each healing."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
     with tempfile.TemporaryDirectory(prefix="skygcs-faults-") as name:
-        folder = Path(name)
-        with asyncio.Runner(loop_factory=VirtualAsyncio) as runner:
-            memory = runner.run(_memory(folder))
-        real = asyncio.run(_real(folder))
-        times = asyncio.run(_times(folder))
-    return {"memory": memory, "real": real, "times": times}
+        real, times = asyncio.run(_real(Path(name))), asyncio.run(_times(Path(name)))
+    return {"memory": in_virtual_time(_memory), "real": real, "times": times}
 
 
 def check_faults(found: Found) -> list[tuple[str, bool]]:
@@ -72,14 +65,7 @@ def check_faults(found: Found) -> list[tuple[str, bool]]:
 
 
 async def _memory(folder: Path) -> Found:
-    wrong: list[str] = []
-    happened: Counter[str] = Counter()
-    for seed in range(MEMORY_SCHEDULES):
-        own = folder / f"memory-{seed}"
-        own.mkdir()
-        contradictions, counted = await memory_schedule(seed, own)
-        wrong += contradictions
-        happened += counted
+    wrong, happened = await memory_schedules(range(MEMORY_SCHEDULES), folder)
     return {"schedules": MEMORY_SCHEDULES, "wrong": wrong, "happened": dict(happened)}
 
 

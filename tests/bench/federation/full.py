@@ -19,12 +19,10 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import aiohttp
 
-from bench.federation.state import TICKS
-from bench.web.field import percentile
+from bench.results import Found, cpu_s, percentile
 from skygcs.rpc.client import connect
 from support.hub import Hub
 from support.process import free_port
@@ -73,8 +71,6 @@ nkey = "{key}"
 
 READY_WITHIN_S = 300.0
 CLI_WITHIN_S = 120.0
-
-Found = dict[str, Any]
 
 
 def measure_full(seconds: float) -> Found:
@@ -179,11 +175,11 @@ async def _measured(folder: Path, seconds: float, groups: dict[str, list[int]], 
     assert web.web_process is not None
     groups["web"] = [web.web_process.pid]
     try:
-        before = {kind: sum(map(_cpu_s, pids)) for kind, pids in groups.items()}
+        before = {kind: sum(map(cpu_s, pids)) for kind, pids in groups.items()}
         states, found["page"] = await asyncio.gather(_read_states(path, seconds), _read_page(web, seconds))
         found |= states
         found["cpu"] = {
-            kind: round((sum(map(_cpu_s, pids)) - before[kind]) / seconds, 2) for kind, pids in groups.items()
+            kind: round((sum(map(cpu_s, pids)) - before[kind]) / seconds, 2) for kind, pids in groups.items()
         }
         print(f"  cores taken: {found['cpu']}", flush=True)
         found["order"] = await _order_all(path)
@@ -288,11 +284,3 @@ def _children(pids: list[int]) -> list[int]:
         for task in Path(f"/proc/{pid}/task").iterdir():
             found += [int(child) for child in (task / "children").read_text().split()]
     return found
-
-
-def _cpu_s(pid: int) -> float:
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / TICKS

@@ -13,10 +13,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import structlog
 
+from bench.results import Found
 from skygcs.ext.federation.protocol.lease import TTL_S
 from support.heard_vehicle import boot_s
 from support.hub import Hub
@@ -31,8 +31,6 @@ TAKEN_WITHIN_S = TTL_S + 1.0
 HEALED_WITHIN_S = 2.0
 AFTER_S = 4.0
 """How long a site that goes on is listened to."""
-
-Found = dict[str, Any]
 
 
 def measure_races(_: float) -> Found:

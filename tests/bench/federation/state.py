@@ -13,8 +13,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
+from bench.results import Found, cpu_s, percentile
 from support.hub import Hub
 from support.process import ROOT
 
@@ -30,9 +30,6 @@ HEAL_S = 8.0
 """For the reader that was stopped, to find out that it was cut off, and to connect again."""
 
 AGE_P99_S = 0.050
-TICKS = os.sysconf("SC_CLK_TCK")
-
-Found = dict[str, Any]
 
 
 def measure_state(seconds: float) -> Found:
@@ -100,11 +97,11 @@ async def _run(folder: Path, sites: tuple[str, ...], seconds: float, *, stopped:
         await asyncio.sleep(begin_s - time.clock_gettime(time.CLOCK_BOOTTIME))
         server = hub.process.process
         assert server is not None
-        cpu_before = _cpu_s(server.pid)
+        cpu_before = cpu_s(server.pid)
         if stopped:
             readers[-1].send_signal(signal.SIGSTOP)
         await asyncio.sleep(begin_s + seconds - time.clock_gettime(time.CLOCK_BOOTTIME))
-        cpu_hub = (_cpu_s(server.pid) - cpu_before) / seconds
+        cpu_hub = (cpu_s(server.pid) - cpu_before) / seconds
         if stopped:
             readers[-1].send_signal(signal.SIGCONT)
         said = [await _said(process) for process in (*publishers, *readers)]
@@ -153,8 +150,8 @@ def _summary(publishers: list[Found], readers: list[Found], cpu_hub: float, *, s
         what = "cut off by the hub" if cut else f"{lost} batches dropped"
         fresh_s = last["fresh_after_s"]
         found["stopped_reader"] = {"cut_off": cut, "dropped": lost > 0, "what": what, "fresh_after_s": fresh_s}
-    ages = sorted(age for reader in readers for age in reader["ages_s"])
-    errors = sorted(abs(error) for reader in readers for error in reader["errors_s"])
+    ages = [age for reader in readers for age in reader["ages_s"]]
+    errors = [abs(error) for reader in readers for error in reader["errors_s"]]
     understated_s = max((-error for reader in readers for error in reader["errors_s"]), default=0.0)
     shown = [
         {key: value for key, value in reader.items() if key not in ("ages_s", "oldest_s", "errors_s")}
@@ -186,9 +183,4 @@ def _line(run: Found) -> str:
 
 
 def _quantile_ms(values: list[float], share: float) -> float:
-    return 1e3 * values[min(len(values) - 1, int(share * len(values)))] if values else float("inf")
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
+    return 1e3 * percentile(values, share) if values else float("inf")

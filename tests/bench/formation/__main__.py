@@ -9,19 +9,15 @@ import argparse
 import math
 import os
 import sys
-import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from bench.monitor.virtual import in_virtual_time
-from bench.results import keep
+from bench.results import in_virtual_time, keep
 from support.formation_encounters import Outcome, encounter
 from support.led_formation import led_formation
 
-ROOT = Path(__file__).resolve().parents[3]
 SECONDS = 60.0
 SHARE = 20
 
@@ -73,8 +69,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     given = parser.parse_args()
     told: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        led = in_virtual_time(led_formation(Path(folder)))
+    led = in_virtual_time(led_formation)
     told["led"] = asdict(led)
     print(
         f"10 behind a leader at {led.speed_mps:.1f} m/s: {led.rms_m:.2f} m RMS from their places, least distance "

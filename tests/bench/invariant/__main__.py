@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tempfile
 import time
 import traceback
 from collections.abc import Callable, Coroutine
@@ -20,8 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from bench.monitor.virtual import in_virtual_time
-from bench.results import keep
+from bench.results import in_virtual_time, keep
 from support.random_companions import fly_by_companion
 from support.random_flights import Judged, fly_randomly
 from support.random_orders import fly_by_orders
@@ -40,12 +38,15 @@ CYCLE = ("orders", "plan", "apart", "companion")
 def fly(seed: int) -> tuple[int, str, Judged | str]:
     """One flight; a text if it could not be flown to its end."""
     kind = CYCLE[seed % len(CYCLE)]
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["XDG_CACHE_HOME"] = os.environ["XDG_STATE_HOME"] = folder
-        try:
-            return seed, kind, in_virtual_time(KINDS[kind](Path(folder), seed))
-        except Exception:
-            return seed, kind, traceback.format_exc(limit=-6)
+
+    def flight(folder: Path) -> Coroutine[Any, Any, Judged]:
+        os.environ["XDG_CACHE_HOME"] = os.environ["XDG_STATE_HOME"] = str(folder)
+        return KINDS[kind](folder, seed)
+
+    try:
+        return seed, kind, in_virtual_time(flight)
+    except Exception:
+        return seed, kind, traceback.format_exc(limit=-6)
 
 
 def wrong(kind: str, judged: Judged | str) -> list[str]:

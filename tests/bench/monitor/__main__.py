@@ -7,28 +7,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import Any
 
 from bench.monitor.cost import cost_rows
 from bench.monitor.formation import fly_formation
 from bench.monitor.lateness import lateness_rows
-from bench.monitor.virtual import in_virtual_time
-from bench.results import OUT, keep
+from bench.results import in_virtual_time, keep
 from support.encounters import Judged, judge, rows
 
-ROOT = Path(__file__).resolve().parents[3]
 LEAST_AHEAD_S = 5.0
 SHARE = 10
 """Encounters flown with one daemon."""
 
 
 def _judge(seeds: list[int]) -> list[Judged]:
-    with tempfile.TemporaryDirectory() as folder:
-        return in_virtual_time(judge(seeds, Path(folder)))
+    return in_virtual_time(lambda folder: judge(seeds, folder))
 
 
 def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
@@ -49,8 +44,7 @@ def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
 
 
 def formation(told: dict[str, Any]) -> list[str]:
-    with tempfile.TemporaryDirectory() as folder:
-        told["formation"] = flown = in_virtual_time(fly_formation(Path(folder), minutes=30.0))
+    told["formation"] = flown = in_virtual_time(lambda folder: fly_formation(folder, minutes=30.0))
     print(
         f"formation of {flown['vehicles']}, {flown['minutes']:g} min, {flown['spacing_m']:.2f} m apart (ages: "
         f"{flown['age_p95_s']:.2f} s p95): {len(flown['events'])} reports"
@@ -91,17 +85,17 @@ def main() -> int:
     began = time.monotonic()
     told: dict[str, Any] = {}
     missed: list[str] = []
-    if options.only in (None, "cost"):
-        missed += cost(told)
-    if options.only in (None, "lateness"):
-        missed += lateness(told)
-    if options.only in (None, "encounters"):
-        missed += encounters(options.encounters, options.jobs, told)
-    if options.only in (None, "formation"):
-        missed += formation(told)
+    parts = {
+        "cost": cost,
+        "lateness": lateness,
+        "encounters": lambda told: encounters(options.encounters, options.jobs, told),
+        "formation": formation,
+    }
+    for name, part in parts.items():
+        if options.only in (None, name):
+            missed += part(told)
     told |= {"missed": missed, "seconds": round(time.monotonic() - began, 1)}
-    keep("monitor", told)
-    print(f"\n{told['seconds']:.0f} s; all of it in {OUT / 'monitor.json'}")
+    print(f"\n{told['seconds']:.0f} s; all of it in {keep('monitor', told)}")
     for what in missed:
         print(f"MISSED: {what}")
     return 1 if missed else 0

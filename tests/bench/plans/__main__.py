@@ -1,5 +1,5 @@
-"""`make bench-plans`: how fast plans are certified (CPU seconds), whether any certificate is wrong, what is refused,
-and how far apart vehicles stay that fly plans.
+"""`make bench-plans`: how fast plans are certified (CPU seconds), whether any certificate is wrong, and how far
+apart vehicles stay that fly plans.
 
 A table on stdout, all in build/bench/plans.json.
 
@@ -13,18 +13,17 @@ import json
 import math
 import random
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench.monitor.virtual import in_virtual_time
-from bench.plans import flights, goto_flights, refusals, tick_lateness
+from bench.plans import flights, goto_flights, tick_lateness
 from bench.plans.random_plans import LIMITS, RULE, Judged, _between, judge
+from bench.plans.refusals import grid
+from bench.results import OUT, in_virtual_time, keep
 from skygcs.core.plan.fleet_plan import TimedPlan
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.ext.plans.certificates.certify import certify
@@ -35,7 +34,6 @@ from support.dry_runs import judge as judge_dry_runs
 DRY_DAEMONS = 180
 """Eight plans each: a thousand are flown, and some hundred refused ones are carried on from."""
 
-OUT = Path(__file__).parents[3] / "build" / "bench"
 SEEDS = range(5)
 
 
@@ -49,28 +47,23 @@ def main() -> int:
     began = time.monotonic()
     answer: dict[str, Any] = {"missed": []}
 
-    def keep(part: str, found: Any, missed: list[str]) -> None:
+    def note(part: str, found: Any, missed: list[str]) -> None:
         """What there is so far: flights and 10,000 instances take an hour, and may be ended before."""
         answer[part] = found
         answer["missed"] += missed
         answer["seconds"] = round(time.monotonic() - began, 1)
-        OUT.mkdir(parents=True, exist_ok=True)
-        (OUT / "plans.json").write_text(json.dumps(answer, indent=2) + "\n")
+        keep("plans", answer)
 
     speeds = [_labelled(50), _exchangeable(100), _pieces(50, 20), _pieces(50, 100), _pieces(100, 20), _swap(50)]
     for row in speeds:
         limit = "" if row["most_s"] is None else f"  (at most {row['most_s']:g} s)"
         print(f"{row['what']:58} {row['median_s']:7.3f} s, slowest {row['slowest_s']:.3f} s{limit}  {row['note']}")
-    keep("speed", speeds, [r["what"] for r in speeds if r["most_s"] is not None and r["median_s"] > r["most_s"]])
-    refused = [_refusal(case) for case in refusals.cases()]
-    for row in refused:
-        print(f"{'met   ' if row['met'] else 'MISSED'} {row['what']:46} {row['answer'][:110]}")
-    keep("refusals", refused, [row["what"] for row in refused if not row["met"]])
+    note("speed", speeds, [r["what"] for r in speeds if r["most_s"] is not None and r["median_s"] > r["most_s"]])
     with ProcessPoolExecutor(options.jobs) as pool:
         for judged in _growing(pool.map(judge, range(options.first, options.instances))):
             instances = {"first": options.first, **_summary(judged)}
             wrong = ["random plans"] if instances["violations"] or instances["loose"] else []
-            keep("instances", instances, wrong if "random plans" not in answer["missed"] else [])
+            note("instances", instances, wrong if "random plans" not in answer["missed"] else [])
         print(json.dumps(answer.get("instances"), indent=2), flush=True)
         slow = [row for share in pool.map(goto_flights.flown, goto_flights.cases()) for row in share]
         flown = [row for share in pool.map(flights.flights, flights.SHARES) for row in share]
@@ -78,35 +71,23 @@ def main() -> int:
         for one in pool.map(dry_runs, range(DRY_DAEMONS)):
             dry += one
     print(f"dry runs: {dry.passed} passed, {dry.flown} flown to their ends, {dry.refused} refused, {dry.led_on} led on")
-    keep("dry_runs", asdict(dry), dry.faults)
+    note("dry_runs", asdict(dry), dry.faults)
     for row in slow:
         print(goto_flights.text(row))
-    keep("goto", slow, [f"by {r['by']}: {r['flight']} of {r['vehicles']}" for r in slow if not r["met"]])
+    note("goto", slow, [f"by {r['by']}: {r['flight']} of {r['vehicles']}" for r in slow if not r["met"]])
     for row in flown:
         print(flights.text(row))
-    keep("flights", flown, [f"flight: {row['flight']}" for row in flown if not row["met"]])
+    note("flights", flown, [f"flight: {row['flight']}" for row in flown if not row["met"]])
     ticks = None if options.no_ticks else tick_lateness.measured()
     print(json.dumps(ticks, indent=2))
-    keep("control_ticks", ticks, [])
+    note("control_ticks", ticks, [])
     print(f"{answer['seconds']:.0f} s; {len(answer['missed'])} missed; all of it in {OUT / 'plans.json'}")
     return 1 if answer["missed"] else 0
 
 
 def dry_runs(seed: int) -> DryRuns:
     """Random plans of one daemon, in virtual time."""
-    with tempfile.TemporaryDirectory() as folder:
-        return in_virtual_time(judge_dry_runs(seed, Path(folder)))
-
-
-def _refusal(case: refusals.Case) -> dict[str, Any]:
-    certified, reasons = case.judged()
-    met = certified if not case.names else not certified and all(any(n in r for r in reasons) for n in case.names)
-    return {
-        "what": case.what,
-        "expected": "certified" if not case.names else "refused",
-        "answer": "certified" if certified else (reasons[0] if reasons else "refused"),
-        "met": met,
-    }
+    return in_virtual_time(lambda folder: judge_dry_runs(seed, folder))
 
 
 def _timed(what: str, most_s: float | None, runs: list[Any], note: str = "") -> dict[str, Any]:
@@ -125,7 +106,7 @@ def _timed(what: str, most_s: float | None, runs: list[Any], note: str = "") -> 
 
 
 def _searching(count: int, exchangeable: bool, seed: int) -> Callable[[], str]:
-    starts = refusals.grid(count)
+    starts = grid(count)
     names = [f"v{i}" for i in range(count)]
     rng = random.Random(seed)
     goals = list(starts)
@@ -158,7 +139,7 @@ def _pieces(count: int, pieces: int) -> dict[str, Any]:
     runs = []
     for seed in SEEDS:
         rng = random.Random(seed)
-        plan = TimedPlan({f"v{i}": _flown(rng, place, pieces) for i, place in enumerate(refusals.grid(count, 8.0))})
+        plan = TimedPlan({f"v{i}": _flown(rng, place, pieces) for i, place in enumerate(grid(count, 8.0))})
         runs.append(lambda plan=plan: f"certified: {certify(plan, RULE).certified}")
     limit = 0.5 if (count, pieces) == (50, 20) else None
     return _timed(f"certificate of {count} x {pieces} pieces of degree 7", limit, runs)

@@ -19,15 +19,12 @@ import contextlib
 import itertools
 import math
 import random
-import tempfile
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.monitor.virtual import in_virtual_time
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
+from bench.results import in_virtual_time
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Uncertainty
 from skygcs.core.separation import separation_m
@@ -41,6 +38,7 @@ from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import SimVehicle
 from support.called import call, plans_of
+from support.daemons import made_daemon, started
 from support.on_air import FIELD
 from support.planned import content, inline
 from support.sim_pilot import int_param
@@ -250,9 +248,11 @@ def crossing(air: Air) -> Plan:
     starts = above(air)
     goals = list(starts.values())
     random.Random(7).shuffle(goals)
-    found = make_plan(
-        Task(starts, dict(zip(starts, goals, strict=True)), kind="phased"), RULE, LIMITS, FlightSpace(ceiling_m=90.0)
-    )
+    return _made(Task(starts, dict(zip(starts, goals, strict=True)), kind="phased"), FlightSpace(ceiling_m=90.0))
+
+
+def _made(task: Task, space: FlightSpace) -> Plan:
+    found = make_plan(task, RULE, LIMITS, space)
     if found.plan is None:
         raise RuntimeError(found.reasons()[:3])
     return found.plan
@@ -269,10 +269,7 @@ RADIUS_M = 20.0
 def formation(air: Air) -> Plan:
     starts = above(air)
     goals = dict(zip(starts, circle(len(starts), RADIUS_M), strict=True))
-    found = make_plan(Task(starts, goals, exchangeable=True, kind="timed"), RULE, LIMITS, FlightSpace())
-    if found.plan is None:
-        raise RuntimeError(found.reasons()[:3])
-    return found.plan
+    return _made(Task(starts, goals, exchangeable=True, kind="timed"), FlightSpace())
 
 
 SHOW_S = 90.0
@@ -324,14 +321,8 @@ async def in_the_air(
     folder: Path, links: Mapping[str, Mapping[str, Any]], *, by: str | None = None, fence: Mapping[str, Any] = FENCE
 ) -> AsyncIterator[Air]:
     """A daemon with these simulated radios, once it has heard and planned all their vehicles."""
-    own = {"socket": folder / "s", "log_dir": folder / "logs", "record": False}
-    config = FleetConfig.model_validate(
-        {"daemon": own, "origin": FIELD, "links": links, "defaults": {"control": {"fence": fence}}}
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    running = asyncio.create_task(daemon.run(), name="the daemon")
-    await daemon.ready.wait()
-    try:
+    daemon = made_daemon(folder, origin=FIELD, links=links, defaults={"control": {"fence": fence}})
+    async with started(daemon):
         await asyncio.sleep(1.0)
         air = Air(daemon, list(links), by)
         for sim in air.sims:
@@ -340,10 +331,6 @@ async def in_the_air(
         await air.heard()
         await asyncio.sleep(SETTLES_S)
         yield air
-    finally:
-        daemon.stop()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
 
 
 async def fly_all(folder: Path, names: list[str]) -> list[dict[str, Any]]:
@@ -450,5 +437,4 @@ def text(row: Mapping[str, Any]) -> str:
 
 def flights(names: list[str]) -> list[dict[str, Any]]:
     """In virtual time."""
-    with tempfile.TemporaryDirectory() as folder:
-        return in_virtual_time(fly_all(Path(folder), names))
+    return in_virtual_time(lambda folder: fly_all(folder, names))

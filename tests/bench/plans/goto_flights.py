@@ -8,14 +8,13 @@ from __future__ import annotations
 import asyncio
 import math
 import random
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.monitor.virtual import in_virtual_time
 from bench.plans.flights import FIELD, LOOK_S, OVER, OWED_M, UP_M, Air, Watched, above, in_the_air
+from bench.results import in_virtual_time
 from skygcs.core.plan.fleet_plan import PhasedPlan
 from skygcs.core.plan.plan_json import plan_from_json
 from support.planned import instant_planning
@@ -120,35 +119,30 @@ def _sent_bytes(air: Air) -> int:
     return sum(channel.tx_bytes for link in air.links for channel in link.channels)
 
 
-async def _killed(case: Case, phase: int) -> dict[str, Any]:
+async def _killed(case: Case, phase: int, folder: Path) -> dict[str, Any]:
     """The crossing, and the ground dies while all are in this phase of it."""
-    with tempfile.TemporaryDirectory() as folder:
-        async with in_the_air(Path(folder), case.links(), by=case.by, fence=FENCE) as air:
-            plan = await plan_of(air, "crossing")
-            name, seen = plan.phases[phase].name, Watched()
+    async with in_the_air(folder, case.links(), by=case.by, fence=FENCE) as air:
+        plan = await plan_of(air, "crossing")
+        name, seen = plan.phases[phase].name, Watched()
 
-            def there() -> bool:
-                status = air.daemon.fleet.plans.status()
-                return status["state"] == "flying" and status["phase"] == name
+        def there() -> bool:
+            status = air.daemon.fleet.plans.status()
+            return status["state"] == "flying" and status["phase"] == name
 
-            await air.fly(plan, seen, until=lambda: there() or air.state in OVER, lost=lambda: None)
-            met = air.state == "flying"
-            await asyncio.sleep(2.0)
-            _silence(air)
-            goals = _ends(plan, phase)
-            for _ in range(round(RESTS_S / LOOK_S)):
-                air.look(seen, air.daemon.now(), None)
-                await asyncio.sleep(LOOK_S)
-            off_m = max(math.dist(air.places()[one], goal) for one, goal in goals.items())
-            return {
-                "flight": f"ground killed in {name}",
-                "vehicles": case.vehicles,
-                "loss": case.loss,
-                "by": case.by,
-                "off_end_m": round(off_m, 2),
-                "measured_least_m": round(seen.least_m, 2),
-                "met": met and seen.least_m >= OWED_M and off_m < 1.5,
-            }
+        await air.fly(plan, seen, until=lambda: there() or air.state in OVER, lost=lambda: None)
+        met = air.state == "flying"
+        await asyncio.sleep(2.0)
+        _silence(air)
+        goals = _ends(plan, phase)
+        for _ in range(round(RESTS_S / LOOK_S)):
+            air.look(seen, air.daemon.now(), None)
+            await asyncio.sleep(LOOK_S)
+        off_m = max(math.dist(air.places()[one], goal) for one, goal in goals.items())
+        return {
+            **{"flight": f"ground killed in {name}", "vehicles": case.vehicles, "loss": case.loss, "by": case.by},
+            **{"off_end_m": round(off_m, 2), "measured_least_m": round(seen.least_m, 2)},
+            "met": met and seen.least_m >= OWED_M and off_m < 1.5,
+        }
 
 
 def _ends(plan: PhasedPlan, phase: int) -> dict[str, Any]:
@@ -173,11 +167,10 @@ async def _fly(case: Case, folder: Path) -> list[dict[str, Any]]:
 
 def flown(case: Case) -> list[dict[str, Any]]:
     """All flights of a set-up, in virtual time; of four vehicles by goto also the ground's death in each phase."""
-    with tempfile.TemporaryDirectory() as folder:
-        rows = in_virtual_time(_fly(case, Path(folder)))
+    rows = in_virtual_time(lambda folder: _fly(case, folder))
     if case.by == "goto" and case.vehicles == COUNTS[0]:
-        phases = 3  # climb, cross, descend
-        rows += [in_virtual_time(_killed(case, phase)) for phase in range(phases)]
+        for phase in range(3):  # climb, cross, descend
+            rows.append(in_virtual_time(lambda folder, phase=phase: _killed(case, phase, folder)))
     return rows
 
 

@@ -1,5 +1,5 @@
-"""`make bench-radio`: what one radio carries, plain and with skygcs. A table on stdout, all in build/bench/radio.json,
-a picture in build/bench/radio.png. Virtual time on emulated radios: docs/explanation/airtime.md says what they are.
+"""`make bench-radio`: what one radio carries, plain and with skygcs. A table on stdout, all in build/bench/radio.json.
+Virtual time on emulated radios: docs/explanation/airtime.md says what they are.
 
 python -m bench.radio [--quick]
 """
@@ -15,7 +15,7 @@ from typing import Any
 from bench.commanded_daemon import Column
 from bench.radio import report
 from bench.radio.cell import measure
-from bench.results import OUT, keep
+from bench.results import keep
 
 VEHICLES = (2, 4, 8, 10, 15)
 AIRS_KBPS = (64.0, 125.0)
@@ -45,8 +45,7 @@ def main() -> int:
         "seconds": seconds,
     }
     path = keep("radio", told)
-    report.picture(rows, OUT / "radio.png")
-    print(f"\n{seconds:.0f} s; all of it in {path}, a picture in {OUT / 'radio.png'}")
+    print(f"\n{seconds:.0f} s; all of it in {path}")
     return 1 if missed else 0
 
 

@@ -1,9 +1,8 @@
-"""What the radio benchmark measured: a table with both columns side by side, its targets judged, a picture."""
+"""What the radio benchmark measured: a table with both columns side by side, and its targets judged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from skygcs.core.radio_link.capacity import PROFILES, LinkDemand, plan_link
@@ -20,7 +19,6 @@ CARRIES = {64.0: 10, 125.0: 15}
 COLLAPSES_ABOVE = 4
 """Vehicles. Said of the plain way: "single or two drones works well, three occasionally, more than four terrible"."""
 
-COLOURS = {"plain": "tab:red", "skygcs": "tab:blue"}
 
 Row = dict[str, Any]
 
@@ -141,70 +139,3 @@ def _arithmetic(row: Row) -> str:
     ways = ", ".join(f"{w.name} {w.needed:,.0f} of {w.capacity:,.0f} B/s" for w in plan.directions)
     fits = "which fits: no reason there" if plan.fits else "; ".join(plan.problems)
     return f"a round takes {row['round_s']:.2f} s; {ways}; {fits}"
-
-
-# -- the picture
-
-
-def picture(rows: Sequence[Row], path: Path) -> None:
-    """Six panels over the number of vehicles; dashed grey: the target, as far as it is one."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
-
-    figure, grid = pyplot.subplots(2, 3, figsize=(14, 8), constrained_layout=True, sharex=True)
-    panels: tuple[tuple[str, str, Callable[[Row], float] | None], ...] = (
-        ("age_p95_s", "position age, p95 (s)", lambda _: AGE_S),
-        ("positions_per_vehicle_per_s", "positions of each vehicle (Hz)", None),
-        ("loss", "frames lost", None),
-        ("ack_p95_s", "command ACK, p95 (s)", lambda r: 2 * r["round_s"] + ACK_SPARE_S),
-        ("usable_s", "all vehicles usable after (s)", None),
-        ("emergency_max_s", "stop on the flooded link heard by all after (s)",
-         lambda r: 2 * r["round_s"] + EMERGENCY_REPEAT_S),
-    )  # fmt: skip
-    airs = sorted({r["air_kbps"] for r in rows})
-    for axis, (key, title, target) in zip(grid.flat, panels, strict=True):
-        for air, dash, marker in zip(airs, ("-", "--"), ("o", "s"), strict=False):
-            for column, colour in COLOURS.items():
-                cells = [r for r in rows if r["column"] == column and r["air_kbps"] == air]
-                points = [(r["vehicles"], r[key]) for r in cells if r[key] is not None]
-                label = f"{column}, {air:g} kbit/s"
-                axis.plot(
-                    [p[0] for p in points], [p[1] for p in points], dash, color=colour, marker=marker, label=label
-                )
-            if target is not None:
-                carried = [r for r in cells if r["vehicles"] <= CARRIES[air]]
-                line = ([r["vehicles"] for r in carried], [target(r) for r in carried])
-                axis.plot(*line, dash, color="grey", linewidth=1.2, label=f"target, {air:g} kbit/s", zorder=0)
-        axis.set_title(title, fontsize=11)
-        axis.grid(alpha=0.25)
-        axis.set_xticks(sorted({r["vehicles"] for r in rows}))
-        if key.endswith("_s") and key != "positions_per_vehicle_per_s":
-            axis.set_yscale("log")
-            axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.yaxis.set_minor_formatter(NullFormatter())
-        else:
-            axis.set_ylim(bottom=0)
-        if key == "loss":
-            axis.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        if key == "usable_s":
-            _never(axis, rows)
-    for axis in grid[1]:
-        axis.set_xlabel("vehicles")
-    grid[0][0].legend(fontsize=8)
-    figure.suptitle("One radio at 57600 baud, emulated: the plain way, and with skygcs")
-    figure.savefig(path, dpi=110)
-
-
-def _never(axis: Any, rows: Sequence[Row]) -> None:
-    """Cells in which the vehicles never became usable, above all the others."""
-    top = 2 * max((r["usable_s"] for r in rows if r["usable_s"] is not None), default=1.0)
-    for row in rows:
-        if row["usable_s"] is None:
-            nudge = -0.15 if row["air_kbps"] == min(r["air_kbps"] for r in rows) else 0.15
-            axis.plot(row["vehicles"] + nudge, top, "x", color=COLOURS[row["column"]], markersize=8)
-    axis.text(min(r["vehicles"] for r in rows), top, "never:", va="center", fontsize=9)
-    axis.set_ylim(top=1.5 * top)

@@ -14,7 +14,6 @@ import argparse
 import asyncio
 import json
 import multiprocessing
-import os
 import random
 import socket
 import tempfile
@@ -28,6 +27,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as mav
 
+from bench.results import cpu_s
 from skygcs.core.ros.interfaces import ros2_interfaces
 from skygcs.ext.ros.dds import DdsNode, Network
 from support.process import DaemonProcess, wait_until
@@ -136,12 +136,6 @@ class Reader:
 def opened(domain: int) -> DdsNode:
     """A node; a process has one domain of a number."""
     return DdsNode(Network(domain, True, ()), ros2_interfaces("1.16"), asyncio.get_running_loop())
-
-
-def cpu_s(pid: int) -> float:
-    """Seconds of processor time of a process so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager

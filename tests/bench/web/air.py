@@ -19,7 +19,8 @@ from typing import Any
 
 import aiohttp
 
-from bench.web.field import field, percentile
+from bench.results import percentile
+from bench.web.field import field
 from bench.web.page import browser_page
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.rpc.client import Client, connect
@@ -191,13 +192,11 @@ async def time_orders(page: PageClient | Client, vehicle: OrderedVehicle, method
     return {
         "count": len(times_ms),
         "lost": lost,
-        "p50_ms": round(percentile(times_ms, 0.5), 2),
-        "p99_ms": round(percentile(times_ms, 0.99), 2),
-        "max_ms": round(max(times_ms, default=0.0), 2),
+        **{f"p{share:g}_ms": round(percentile(times_ms, share / 100), 2) for share in (50, 99, 100)},
     }
 
 
-def measure_orders(seconds: float) -> dict[str, Any]:
+def measure_orders() -> dict[str, Any]:
     """hold on a quiet fleet; stop while 50 vehicles stream, a plan flies and a parameter list is on its way."""
     with field(VEHICLES) as station:
         return asyncio.run(_measure_orders(station))
@@ -255,7 +254,7 @@ async def _list_params(socket_path: Path) -> None:
         writer.close()
 
 
-def measure_ticks(seconds: float) -> dict[str, Any]:
+def measure_ticks() -> dict[str, Any]:
     """The lateness of control ticks without pages, and with one in Chromium and nine WebSocket clients of which one
     takes nothing and one floods; in turn, ROUNDS times."""
     with field(VEHICLES) as station:
@@ -335,17 +334,5 @@ async def _flood(page: PageClient, base: str) -> None:
 
 def lateness_ms(station: WebStation) -> float:
     """p99 over the last 500 ticks, the mean of the vehicles."""
-    answers = station.call("control.status", targets=",".join(FLOWN))
-    answers = answers.values() if isinstance(answers, dict) else answers
-    found = [a["lateness_p99_s"] for a in _statuses(answers) if a.get("lateness_p99_s") is not None]
-    assert found, "no vehicle is under control"
-    return round(statistics.fmean(found) * 1000, 3)
-
-
-def _statuses(answers: Any) -> list[dict[str, Any]]:
-    """Whatever control.status puts around them."""
-    found: list[dict[str, Any]] = []
-    for answer in answers:
-        if isinstance(answer, dict):
-            found += [answer] if "lateness_p99_s" in answer else _statuses(answer.values())
-    return found
+    states = station.call("control.status", targets=",".join(FLOWN))
+    return round(statistics.fmean(state["lateness_p99_s"] for state in states) * 1000, 3)

@@ -45,9 +45,3 @@ def field(vehicles: int, *, daemon: str = "", more: str = "") -> Iterator[WebSta
             station.close()
             sim.terminate()
             sim.wait()
-
-
-def percentile(values: list[float], share: float) -> float:
-    """Of some values; 0 without any."""
-    ordered = sorted(values)
-    return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else 0.0

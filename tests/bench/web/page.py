@@ -13,7 +13,8 @@ from typing import Any
 
 from playwright.sync_api import Page, sync_playwright
 
-from bench.web.field import field, percentile
+from bench.results import percentile
+from bench.web.field import field
 from skygcs.web.built_page import STATIC
 from support.web_station import chromium, chromium_options
 

@@ -12,39 +12,38 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import tempfile
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
 from bench.commanded_daemon import (
     COMMAND_EVERY_S,
     GET_MESSAGE_INTERVAL,
+    MEASURE_S,
+    SETTLE_S,
     Column,
     CommandedDaemon,
     Measured,
     furnish,
 )
-from bench.monitor.virtual import in_virtual_time
+from bench.results import in_virtual_time
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.xbee import api_frames
 from skygcs.core.xbee.api_frames import ApiFrame, ApiParser, ReceivePacket, TransmitStatus, decode, transmit_request
-from skygcs.daemon import Daemon
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle_group import make_vehicles
 from skygcs.sim.xbee_mesh import MeshConfig, XBeeMesh
+from support.daemons import made_daemon, started
 
 RF_KBPS = 200.0
 PACKET_LOSS = 0.05
 """Of one transmission; the modules repeat it."""
 
-SETTLE_S, MEASURE_S = 40.0, 120.0
 STEP_S = 0.005
 """How often bytes pass between the ground's module and the computer."""
 
@@ -62,8 +61,7 @@ def measure(column: Column, vehicles: int, *, settle_s: float = SETTLE_S, measur
     """Run one cell; takes a few seconds of real time."""
     if column == "plain":
         return _PlainCell(vehicles, settle_s, measure_s).run()
-    with tempfile.TemporaryDirectory() as folder:
-        return in_virtual_time(_DaemonCell(vehicles, Path(folder), settle_s, measure_s).run())
+    return in_virtual_time(lambda folder: _daemon_cell(vehicles, folder, settle_s, measure_s))
 
 
 def network(vehicles: int, dialect: Dialect) -> XBeeMesh:
@@ -113,7 +111,6 @@ class _PlainCell:
                 known = self._positions
                 self.told.ages_s += [self._now - known.get(sysid, 0.0) for sysid in range(1, count + 1)]
         self.told.heard = len(self._positions)
-        self.told.lost_commands = self.told.commands - len(self.told.acks_s)
         return self.told
 
     def _script(self) -> Iterator[None]:
@@ -151,57 +148,31 @@ class _PlainCell:
             self.told.acks_s.append(self._now - self._ordered_at[frame.sysid])
 
 
-class _DaemonCell:
-    def __init__(self, vehicles: int, folder: Path, settle_s: float, measure_s: float) -> None:
-        self.told = Measured("skygcs", vehicles, RF_KBPS)
-        self.settle_s, self.measure_s = settle_s, measure_s
-        table = {
-            "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
-            "links": {"mesh": {"type": "xbee", "device": "the emulated module", "rf_kbps": RF_KBPS, "rtscts": False}},
-        }
-        self.config = FleetConfig.model_validate(table)
-        self.dialect = load_dialect(self.config.dialect)
-        self.mesh = network(vehicles, self.dialect)
+async def _daemon_cell(vehicles: int, folder: Path, settle_s: float, measure_s: float) -> Measured:
+    """The daemon in service, at the emulated module."""
+    told = Measured("skygcs", vehicles, RF_KBPS)
+    keys = {"type": "xbee", "device": "the emulated module", "rf_kbps": RF_KBPS, "rtscts": False}
+    daemon = made_daemon(folder, links={"mesh": keys})
+    mesh = network(vehicles, daemon.dialect)
+    ours, modules = socket.socketpair()
+    with ours, modules, mock.patch("skygcs.links.xbee.open_port", lambda *_, **__: ours):
+        for end in (ours, modules):
+            end.setblocking(False)
+        air = asyncio.create_task(_air(mesh, modules))
+        async with started(daemon):
+            await asyncio.sleep(settle_s)
+            await CommandedDaemon(daemon, mesh.fleet.vehicles, told).measure(measure_s)
+        air.cancel()
+    return told
 
-    async def run(self) -> Measured:
-        async with self._daemon() as daemon:
-            commanded = CommandedDaemon(daemon, self.mesh.fleet.vehicles, self.told)
-            await asyncio.sleep(self.settle_s)
-            before, end = commanded.positions(), daemon.now() + self.measure_s
-            commanding = asyncio.create_task(commanded.command_until(end))
-            while daemon.now() < end:
-                await asyncio.sleep(0.2)
-                self.told.ages_s += commanded.ages()
-            self.told.heard = len(daemon.fleet.vehicles)
-            self.told.positions_per_s = (commanded.positions() - before) / self.measure_s / self.told.vehicles
-            await commanding
-        return self.told
 
-    @contextlib.asynccontextmanager
-    async def _daemon(self) -> AsyncIterator[Daemon]:
-        """In service, at the emulated module."""
-        ours, modules = socket.socketpair()
-        with ours, modules, mock.patch("skygcs.links.xbee.open_port", lambda *_, **__: ours):
-            for end in (ours, modules):
-                end.setblocking(False)
-            daemon = Daemon(self.config, self.dialect)
-            running = asyncio.create_task(daemon.run())
-            air = asyncio.create_task(self._air(modules))
-            await daemon.ready.wait()
-            try:
-                yield daemon
-            finally:
-                daemon.stop()
-                with contextlib.suppress(asyncio.CancelledError):
-                    await running
-                air.cancel()
-
-    async def _air(self, port: socket.socket) -> None:
-        """Pass bytes between the computer and the module."""
-        began = asyncio.get_running_loop().time()
-        while True:
-            with contextlib.suppress(BlockingIOError):
-                self.mesh.hear(port.recv(65536))
-            if out := self.mesh.step(asyncio.get_running_loop().time() - began):
-                port.sendall(out)
-            await asyncio.sleep(STEP_S)
+async def _air(mesh: XBeeMesh, port: socket.socket) -> None:
+    """Pass bytes between the computer and the module."""
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    while True:
+        with contextlib.suppress(BlockingIOError):
+            mesh.hear(port.recv(65536))
+        if out := mesh.step(loop.time() - began):
+            port.sendall(out)
+        await asyncio.sleep(STEP_S)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from bench.control.measures import overshoot_percent, percentile, settling_s, swing_m, within_s
+from bench.control.measures import overshoot_percent, settling_s, swing_m, within_s
 from bench.control.steps import EAST, UP, Flight, axis, bearable_delay_s, fly, swings_on, wind_arithmetic
 from bench.control.wire import BEAR_ALL, WiredPilot
+from bench.results import percentile
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.analysis import Loop, margins
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z
