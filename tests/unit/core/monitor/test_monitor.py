@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from skygcs.core.geo import ecef
+from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.monitor.conflict_levels import CLEAR_S, Level, Pair
 from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, is_flying
@@ -522,6 +522,21 @@ def test_a_vehicle_that_is_forgotten_or_renamed_takes_its_pairs_with_it() -> Non
     fleet.run(1.0, near[0])
     assert fleet.monitor.pairs == {} and fleet.levels()[-1] == "none"
     assert fleet.monitor.of(1 << 8 | 1) is None
+
+
+def test_places_are_in_the_frame_that_is_there_at_each_turn_of_a_refresh() -> None:
+    """Orders that were checked between two turns compared places of one frame with goals of another."""
+    world, fleet = EnuFrame(ORIGIN), Watched(*(WatchedVehicle(n) for n in (1, 2, 3)))
+    fleet.run(1.0, *(standing(x, 0.0, 20.0) for x in (0.0, 5.0, 10.0)))
+    seen = {1: {0.0, 1000.0}, 2: {5.0, 1050.0}, 3: {10.0, 970.0}}
+    for vehicle, x in zip(fleet.fleet, (1000.0, 1050.0, 970.0), strict=True):
+        vehicle.position(fleet.now, (x, 0.0, 20.0), (0.0, 0.0, 0.0))
+    tracks = fleet.monitor.tracks
+    for _ in tracks.refresh([v.member for v in fleet.fleet], fleet.now):
+        assert tracks.frame is not None
+        for track in tracks.tracks.values():
+            east_m = world.from_geodetic(*tracks.frame.to_geodetic(*track.place_m))[0]
+            assert any(abs(east_m - x) < 1.0 for x in seen[track.vehicle.sysid]), (track.name, east_m)
 
 
 def test_time_that_goes_back_or_stands_still_breaks_nothing() -> None:
