@@ -11,7 +11,7 @@ import pytest
 
 from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.monitor.conflict_levels import CLEAR_S, Level, Pair
-from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
+from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, NEAR_LOST_M, REHOLD_S, HoldRequest, Monitor
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, is_flying
 from skygcs.events import Event
 from support.examples import seeds
@@ -564,6 +564,20 @@ def test_the_worst_conflict_of_a_vehicle_is_in_its_state() -> None:
 
 def head_on(*, acting: bool = True) -> Watched:
     return Watched(WatchedVehicle(1), WatchedVehicle(2), acting=acting)
+
+
+def test_changes_and_holds_are_counted_and_one_that_flies_where_another_was_lost_is_warned_of_once() -> None:
+    fleet = head_on()
+    fleet.run(9.0, WEST, EAST)
+    counters, levels = fleet.monitor.counters, fleet.levels()
+    counted = [counters.notices, counters.warnings, counters.actions, counters.holds]
+    assert counted == [*(levels.count(level) for level in ("notice", "warning", "action")), len(fleet.holds)]
+    assert counters.actions and counters.holds
+    lost = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    beside = standing(2.5 + NEAR_LOST_M / 2.0, 0.0, 20.0)
+    lost.run(2.0, standing(0.0, 0.0, 20.0), standing(60.0, 0.0, 20.0))
+    lost.run(TRACK_SILENT_S + 5.0, None, beside)
+    assert [e.text.split(" m from ")[1] for _, e in lost.events if "lost" in e.data] == ["where v1 was lost in the air"]
 
 
 WEST = flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0))
