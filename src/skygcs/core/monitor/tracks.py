@@ -210,19 +210,26 @@ class TrackTable:
                 if track.lost:
                     lost[vehicle.key] = track
             yield
-        yield from self._place(tracks, wanted, now)
         self.tracks, self.lost, self.unwatched = tracks, lost, unwatched
+        self._place(now)
+        if self.frame is not None:
+            yield from self._lead(self.frame, wanted)
 
-    def _place(self, tracks: dict[int, Track], wanted: dict[int, Member], now: float) -> Iterator[None]:
-        """Carry every position on to ``now``, in a frame about the middle of all."""
+    def _place(self, now: float) -> None:
+        """Carry every position on to ``now``, in a frame about the middle of all: in one turn, as orders are compared
+        with them between two turns of a refresh."""
+        tracks = self.tracks.values()
         if not tracks:
             self.frame = None
             return
-        lat_deg = median_low(track.lat_deg for track in tracks.values())
-        lon_deg = median_low(track.lon_deg for track in tracks.values())
+        lat_deg, lon_deg = median_low(t.lat_deg for t in tracks), median_low(t.lon_deg for t in tracks)
         self.frame = frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
-        for key, track in tracks.items():
+        for track in tracks:
             carry_on(track, frame.from_ecef(track.ecef_m), now)
+
+    def _lead(self, frame: EnuFrame, wanted: Mapping[int, Member]) -> Iterator[None]:
+        """Find out how each will fly from its place."""
+        for key, track in self.tracks.items():
             member = wanted[key]
             points = [frame.from_geodetic(*place) for place in member.trajectory]
             track.planned = follows(track, points)

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from skygcs.core.geo import ecef
+from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.monitor.conflict_levels import CLEAR_S, Level, Pair
-from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
+from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, NEAR_LOST_M, REHOLD_S, HoldRequest, Monitor
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, is_flying
 from skygcs.events import Event
 from support.examples import seeds
@@ -524,6 +524,21 @@ def test_a_vehicle_that_is_forgotten_or_renamed_takes_its_pairs_with_it() -> Non
     assert fleet.monitor.of(1 << 8 | 1) is None
 
 
+def test_places_are_in_the_frame_that_is_there_at_each_turn_of_a_refresh() -> None:
+    """Orders that were checked between two turns compared places of one frame with goals of another."""
+    world, fleet = EnuFrame(ORIGIN), Watched(*(WatchedVehicle(n) for n in (1, 2, 3)))
+    fleet.run(1.0, *(standing(x, 0.0, 20.0) for x in (0.0, 5.0, 10.0)))
+    seen = {1: {0.0, 1000.0}, 2: {5.0, 1050.0}, 3: {10.0, 970.0}}
+    for vehicle, x in zip(fleet.fleet, (1000.0, 1050.0, 970.0), strict=True):
+        vehicle.position(fleet.now, (x, 0.0, 20.0), (0.0, 0.0, 0.0))
+    tracks = fleet.monitor.tracks
+    for _ in tracks.refresh([v.member for v in fleet.fleet], fleet.now):
+        assert tracks.frame is not None
+        for track in tracks.tracks.values():
+            east_m = world.from_geodetic(*tracks.frame.to_geodetic(*track.place_m))[0]
+            assert any(abs(east_m - x) < 1.0 for x in seen[track.vehicle.sysid]), (track.name, east_m)
+
+
 def test_time_that_goes_back_or_stands_still_breaks_nothing() -> None:
     fleet = Watched(WatchedVehicle(1), WatchedVehicle(2))
     fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(1.0, 0.0, 20.0))
@@ -549,6 +564,20 @@ def test_the_worst_conflict_of_a_vehicle_is_in_its_state() -> None:
 
 def head_on(*, acting: bool = True) -> Watched:
     return Watched(WatchedVehicle(1), WatchedVehicle(2), acting=acting)
+
+
+def test_changes_and_holds_are_counted_and_one_that_flies_where_another_was_lost_is_warned_of_once() -> None:
+    fleet = head_on()
+    fleet.run(9.0, WEST, EAST)
+    counters, levels = fleet.monitor.counters, fleet.levels()
+    counted = [counters.notices, counters.warnings, counters.actions, counters.holds]
+    assert counted == [*(levels.count(level) for level in ("notice", "warning", "action")), len(fleet.holds)]
+    assert counters.actions and counters.holds
+    lost = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    beside = standing(2.5 + NEAR_LOST_M / 2.0, 0.0, 20.0)
+    lost.run(2.0, standing(0.0, 0.0, 20.0), standing(60.0, 0.0, 20.0))
+    lost.run(TRACK_SILENT_S + 5.0, None, beside)
+    assert [e.text.split(" m from ")[1] for _, e in lost.events if "lost" in e.data] == ["where v1 was lost in the air"]
 
 
 WEST = flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0))
