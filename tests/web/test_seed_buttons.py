@@ -41,11 +41,11 @@ def last_order(page: Page, method: str) -> dict[str, Any]:
 def test_where_a_vehicle_is_is_taken_over_into_go_to(page: Page, mixed: WebStation) -> None:
     select(page, "v2")
     section = page.get_by_role("region", name="Go to")
-    section.get_by_role("button", name="Now").click()
+    section.get_by_role("button", name="Present place").click()
     x, y, _ = mixed.call("vehicles.get", target="v2")["position"]["enu_m"]
     assert float(section.get_by_label(re.compile("^x in metres")).input_value()) == pytest.approx(x, abs=0.2)
     assert float(section.get_by_label(re.compile("^y in metres")).input_value()) == pytest.approx(y, abs=0.2)
-    section.get_by_role("button", name="Target").click()  # nothing sends it anywhere: the fields stay
+    section.get_by_role("button", name="Present target").click()  # nothing sends it anywhere: the fields stay
     assert float(section.get_by_label(re.compile("^x in metres")).input_value()) == pytest.approx(x, abs=0.2)
 
 
@@ -72,7 +72,7 @@ def test_setpoints_are_engaged_and_ended_for_all_that_are_selected(page: Page, m
     until(page, "[...skygcs.store.state.vehicles.values()].every(v => v.control?.state === 'flying')")
     places = page.get_by_role("region", name="Go to")
     select(page, "v1")
-    places.get_by_role("button", name="Target").click()
+    places.get_by_role("button", name="Present target").click()
     target = mixed.call("vehicles.get", target="v1")["control"]["reference"]["pos_enu_m"]
     assert float(places.get_by_label(re.compile("^x in metres")).input_value()) == pytest.approx(target[0], abs=0.2)
     shot(page, "seed-buttons")

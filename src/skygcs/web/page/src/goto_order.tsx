@@ -51,8 +51,8 @@ export function Goto({ store, connection, view, targets, enabled, send }: Button
   return (
     <section class="goto" aria-label="Go to">
       <div class="heading"><h3>Go to</h3>
-        <button type="button" disabled={!enabled} title="Take over where they are" onClick={() => take(currentPlace(flying(store, targets), view.frame))}>Now</button>
-        <button type="button" disabled={!enabled} title="Take over where skygcs' setpoints send them" onClick={() => take(targetPlace(flying(store, targets)))}>Target</button>
+        <button type="button" disabled={!enabled} title="Take over where they are" onClick={() => take(currentPlace(flying(store, targets), view.frame))}>Present place</button>
+        <button type="button" disabled={!enabled} title="Take over where skygcs' setpoints send them" onClick={() => take(targetPlace(flying(store, targets)))}>Present target</button>
         <ChooseButton enabled={enabled} pressed={draft.active && view.tool !== null} pick={draft.begin} />
       </div>
       <PlaceFields fields={fields} onField={(key, text) => (key === "height" ? setHeightText(text) : setAt((before) => ({ ...before, [key]: text })))} />
