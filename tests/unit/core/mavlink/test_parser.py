@@ -310,6 +310,9 @@ def test_known_id_with_a_bad_crc_is_dropped_and_counted_or_passed_on_request() -
     assert raws(frames) == [heartbeat(1), bad, heartbeat(1)]
     assert frames[1].info is None and (passing.stats.bad_crc, passing.stats.unknown) == (1, 0)
     assert len(parsed(bad + heartbeat(1), pass_bad_crc=True)[0]) == 1, "a stranger's"
+    waiting = FrameParser(dialect(), pass_bad_crc=True)
+    assert len(waiting.feed(heartbeat(1) + bad)) == 1 and waiting.stats.bad_crc == 0, "for the byte behind it"
+    assert raws(waiting.rescue()) == [bad] and waiting.stats.bad_crc == 1
 
 
 def test_verified_sources_are_bounded() -> None:

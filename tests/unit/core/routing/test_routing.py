@@ -187,6 +187,9 @@ def test_the_better_of_two_parallel_links_is_used_to_send_while_it_is_heard() ->
     assert reached(net, "gcs", to(1)) == {"good"}
     assert net.router.route_own(1, 1, net.now) == (net.ids["good"],)
     assert reached(heard_over({"a": (0, 1), "b": (4, 0)}), "gcs", to(1)) == {"b"}, "the better one fell silent"
+    net = heard_over({"a": (3, 3), "b": (0, 0)})
+    net.close("b")
+    assert reached(net, "gcs", to(1)) == {"a"}, "one is left"
 
 
 def test_two_ground_stations_of_one_id_both_keep_their_answers() -> None:
