@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mavlink.frame import Frame
 from skygcs.errors import ConfigError, LinkError, RefusedError
 from support.called import sender_of
-from support.daemons import memory_link
+from support.daemons import listening, memory_link
 from support.on_air import OnAir, on_air
 from support.pymav import PymavPeer
 
@@ -78,14 +78,12 @@ def overhear(air: OnAir) -> list[tuple[int, Frame]]:
     """What reaches each vehicle from now on, of all but skygcs itself."""
     heard: list[tuple[int, Frame]] = []
     for sim in air.link.vehicles:
-        before = sim.on_frame
 
-        def on_frame(frame, now, sim=sim, before=before):  # type: ignore[no-untyped-def]
+        def hear(frame: Frame, _: float, sysid: int = sim.sysid) -> None:
             if (frame.sysid, frame.compid) != (255, 25):
-                heard.append((sim.sysid, frame))
-            before(frame, now)
+                heard.append((sysid, frame))
 
-        sim.on_frame = on_frame  # type: ignore[method-assign]
+        listening(sim, hear)
     return heard
 
 

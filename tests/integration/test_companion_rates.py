@@ -9,10 +9,13 @@ from typing import Any
 import pytest
 
 from skygcs.core.mavlink import mav_cmd
+from skygcs.core.mavlink.frame import Frame
 from support.companion_pair import Pair, companion_pair
+from support.daemons import listening
 from support.flown import KINDS
 
-POSITION, MISSED = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"
+POSITION, MISSED = "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION"
+"""The second is what neither firmware sends by itself: what arrives, at whatever rate, is asked for by nobody."""
 
 
 def hz(pair: Pair, message: str) -> float:
@@ -23,15 +26,12 @@ def hz(pair: Pair, message: str) -> float:
 def watch_requests(pair: Pair) -> list[tuple[float, int]]:
     """Time and message id of each rate that is set at the autopilot from now on, by whomever."""
     found: list[tuple[float, int]] = []
-    sim = pair.pi.sim()
-    before = sim.on_frame
 
-    def on_frame(frame: Any, now: float) -> None:
-        if frame.name == "COMMAND_LONG" and frame.fields()["command"] == mav_cmd.SET_MESSAGE_INTERVAL:
+    def hear(frame: Frame, _: float) -> None:
+        if frame.fields()["command"] == mav_cmd.SET_MESSAGE_INTERVAL:
             found.append((pair.now, int(frame.fields()["param1"])))
-        before(frame, now)
 
-    sim.on_frame = on_frame  # type: ignore[method-assign]
+    listening(pair.pi.sim(), hear, "COMMAND_LONG")
     return found
 
 

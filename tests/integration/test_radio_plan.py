@@ -14,6 +14,7 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime.air_planner import ANSWER_S, RETRY_ROUNDS
 from skygcs.runtime.link_view import LinkView
 from skygcs.runtime.vehicle_actor import VehicleActor
+from support.daemons import first_heard
 from support.on_air import OnAir, on_air
 
 NAV = {"link": {"stream_profile": "nav"}}
@@ -51,16 +52,7 @@ async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Pat
 async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(tmp_path: Path, phase_s: float) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, link=FLOODED) as air:
         await air.settled(10)
-        heard: dict[int, float] = {}
-        for sim in air.link.vehicles:
-            before = sim.on_frame
-
-            def on_frame(frame, now, sim=sim, before=before):  # type: ignore[no-untyped-def]
-                if frame.name == "COMMAND_LONG" and frame.fields()["command"] in (21, 176):
-                    heard.setdefault(sim.sysid, now)
-                before(frame, now)
-
-            sim.on_frame = on_frame  # type: ignore[method-assign]
+        heard = first_heard(air.link.vehicles, 21, 176)
         flood(air, 20)
         for _ in range(50):
             flood(air)

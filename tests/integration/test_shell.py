@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from skygcs.ext.shell.shell_output import MAX_OUTPUT_BYTES
 from skygcs.rpc.client import Client, connect
 from skygcs.sim.px4_shell import VERSION, Px4Shell
 from skygcs.sim.vehicle import SimVehicle
-from support.daemons import made_daemon, simulated_link, started
+from support.daemons import listening, made_daemon, simulated_link, started
 from support.hosts import until
 from support.pymav import PymavPeer
 from support.vehicles import parsed
@@ -37,23 +37,12 @@ class Lab:
         self.socket = socket
         self.heard: list[tuple[int, Frame]] = []
         """SERIAL_CONTROL that all of them hear, with its addressee."""
-        vehicle = self.vehicles[0]
-        vehicle.on_frame = self._noting(vehicle)  # type: ignore[method-assign]
+        listening(self.vehicles[0], lambda frame, _: self.heard.append((frame.payload[79], frame)), "SERIAL_CONTROL")
 
     @property
     def vehicles(self) -> list[SimVehicle]:
         link = simulated_link(self.daemon, "sim")
         return list(link.vehicles)
-
-    def _noting(self, vehicle: SimVehicle) -> Callable[[Frame, float], None]:
-        on_frame = vehicle.on_frame
-
-        def noted(frame: Frame, now: float) -> None:
-            if frame.msgid == SERIAL_CONTROL:
-                self.heard.append((frame.payload[79], frame))
-            on_frame(frame, now)
-
-        return noted
 
     def shell(self, sysid: int = 1) -> Px4Shell:
         shell = next(v for v in self.vehicles if v.sysid == sysid).shell

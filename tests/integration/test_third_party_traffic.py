@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -14,7 +14,7 @@ import pytest
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.radio_link.corrections import RtcmDeframer, content_of, fragments_of
 from skygcs.sim.param_table import Param
-from skygcs.sim.vehicle import SimVehicle
+from support.daemons import first_heard, listening
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 from support.rtcm import rtcm_frame
@@ -110,18 +110,6 @@ def stations_of(field: Field, number: int = 1) -> list[GroundStation]:
     return [GroundStation(field.air.daemon, f"gcs{n}", 255 - n, 191 if n else 190) for n in range(number)]
 
 
-def listening(sim: SimVehicle, name: str, hear: Callable[[Frame, float], None]) -> None:
-    """Call ``hear`` with every message of this name that reaches the vehicle."""
-    before = sim.on_frame
-
-    def on_frame(frame: Frame, now: float) -> None:
-        if frame.name == name:
-            hear(frame, now)
-        before(frame, now)
-
-    sim.on_frame = on_frame  # type: ignore[method-assign]
-
-
 @pytest.mark.deep
 async def test_a_station_that_asks_ten_vehicles_for_everything_disturbs_nobody(tmp_path: Path) -> None:
     async with field(tmp_path, parameters=900) as flown:
@@ -197,15 +185,7 @@ async def test_a_stop_that_somebody_else_gives_goes_before_the_flood_of_others(t
         for station in flooding:
             station.connect(VEHICLES)
         await asyncio.sleep(10)
-        heard: dict[int, float] = {}
-
-        for sim in flown.air.link.vehicles:
-
-            def hear(frame: Frame, now: float, sysid: int = sim.sysid) -> None:
-                if frame.fields()["command"] == 400:
-                    heard.setdefault(sysid, now)
-
-            listening(sim, "COMMAND_LONG", hear)
+        heard = first_heard(flown.air.link.vehicles, 400)
         stopped = flown.air.daemon.now()
         for vehicle in VEHICLES:
             target = {"target_system": vehicle, "target_component": 1}
@@ -238,7 +218,7 @@ async def test_corrections_arrive_whole_and_new_and_leave_commands_alone(tmp_pat
             for message in deframer.feed(bytes(fields["data"][: fields["len"]])):
                 got.append((now, content_of(message).epoch or 0))
 
-        listening(flown.air.sim(4), "GPS_RTCM_DATA", hear)
+        listening(flown.air.sim(4), hear, "GPS_RTCM_DATA")
         began = flown.air.daemon.now()
         sending = asyncio.create_task(send_corrections(base))
         await flown.watched(60)

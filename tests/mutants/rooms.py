@@ -107,7 +107,7 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "companions": {
         "ext/companions/tls.py": ("ext/companions/test_identity.py", "ext/companions/test_tls_orders.py"),
-        "ext/companions/ground_contact.py": ("ext/companions/test_ground_contact.py",),
+        "ext/companions/ground_contact.py": ("ext/companions/test_ground.py",),
     },
     "unattended": {
         "core/vehicle/unattended.py": ("core/vehicle/test_unattended.py", "runtime/test_unattended_holds.py"),

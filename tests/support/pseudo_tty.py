@@ -49,10 +49,10 @@ class PtyRadio:
             time.sleep(0.001)
 
     def read(self) -> bytes:
-        """What the port has sent so far."""
+        """What the port has sent so far; nothing while it is pulled out."""
         got = b""
         try:
-            while data := os.read(self.fd, 65536):
+            while self._master is not None and (data := os.read(self._master, 65536)):
                 got += data
         except OSError:  # nothing more, or nobody has the port open
             pass

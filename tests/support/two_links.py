@@ -22,7 +22,7 @@ from skygcs.sim.rng import Rng
 from skygcs.sim.stream_schedule import Streams
 from skygcs.sim.transmitter import Transmitter
 from skygcs.sim.vehicle import SimVehicle
-from support.daemons import made_daemon, memory_link, started
+from support.daemons import listening, made_daemon, memory_link, started
 from support.on_air import FIELD, OnAir
 
 NETWORK_HZ = {
@@ -194,14 +194,12 @@ async def two_links(
 
 def _log_radio(field_: TwoLinks, sim: SimVehicle) -> None:
     """Keep what reaches it over the radio, too."""
-    before = sim.on_frame
 
-    def on_frame(frame: Frame, now: float) -> None:
+    def hear(frame: Frame, now: float) -> None:
         if sim.tx is not field_.ports[sim.sysid]._tx:
             note(field_.delivered, frame, sim, "air", now)
-        before(frame, now)
 
-    sim.on_frame = on_frame  # type: ignore[method-assign]
+    listening(sim, hear)
 
 
 async def _tick(field_: TwoLinks) -> None:

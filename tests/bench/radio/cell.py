@@ -13,12 +13,11 @@ from typing import Any
 
 from bench.commanded_daemon import MEASURE_S, PARAMETERS, SETTLE_S, Column, CommandedDaemon, Measured, furnish
 from bench.results import in_virtual_time
-from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.core.mavlink.frame import encode
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.daemon import Daemon
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.sim.vehicle import SimVehicle
-from support.daemons import made_daemon, simulated_link, started
+from support.daemons import first_heard, made_daemon, simulated_link, started
 
 PACKET_LOSS = 0.01
 """On air, of every packet between the ground and a vehicle."""
@@ -94,9 +93,7 @@ async def _watch_usable(commanded: CommandedDaemon, started_at: float) -> None:
 
 async def _emergency(commanded: CommandedDaemon) -> None:
     """A stop for all while a ground station floods the link."""
-    daemon, heard = commanded.daemon, dict[int, float]()
-    for sim in commanded.sims:
-        _note_stops(sim, heard)
+    daemon, heard = commanded.daemon, first_heard(commanded.sims, 21, 176)
     flood = asyncio.create_task(_flood(commanded))
     await asyncio.sleep(10)
     ordered = daemon.now()
@@ -106,17 +103,6 @@ async def _emergency(commanded: CommandedDaemon) -> None:
     flood.cancel()
     await asyncio.gather(stop, flood, return_exceptions=True)
     commanded.told.emergency_s = [at - ordered for at in heard.values() if at >= ordered]
-
-
-def _note_stops(sim: SimVehicle, heard: dict[int, float]) -> None:
-    before = sim.on_frame
-
-    def on_frame(frame: Frame, now: float) -> None:
-        if frame.name == "COMMAND_LONG" and frame.fields()["command"] in (21, 176):
-            heard.setdefault(sim.sysid, now)
-        before(frame, now)
-
-    sim.on_frame = on_frame  # type: ignore[method-assign]
 
 
 async def _flood(commanded: CommandedDaemon) -> None:
