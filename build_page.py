@@ -52,10 +52,11 @@ def main() -> int:
 
 
 def up_to_date(made: Path) -> bool:
-    """True if a file is there and newer than each of the page's sources."""
+    """True if a file is there and newer than each of the page's sources, and than their folders: of a source that was
+    removed, or renamed, only the folder's time changes."""
     if not made.exists():
         return False
-    sources = [path for path in PAGE.rglob("*") if path.is_file() and not made_from_them(path)]
+    sources = [path for path in PAGE.rglob("*") if not made_from_them(path)]
     return all(path.stat().st_mtime <= made.stat().st_mtime for path in sources)
 
 
@@ -78,10 +79,9 @@ def build(*, check: bool) -> None:
     run([*npm, "run", "--silent", "build"])
     if not BUILT.exists():
         raise BuildError("the build has written no index.html")
-    os.utime(BUILT)
-    if check:
-        CHECKED.touch()
-        os.utime(CHECKED, (begun_s, begun_s))
+    for made in (BUILT, CHECKED) if check else (BUILT,):  # a source that changed meanwhile is newer
+        made.touch()
+        os.utime(made, (begun_s, begun_s))
 
 
 def find_npm() -> list[str]:

@@ -239,6 +239,7 @@ class Daemon:
                     clock.cancel()
                 self.operator_watchdog.close()
                 self.extensions.close()
+                self.renumbering.close()
                 self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
             await self.links.close()

@@ -25,6 +25,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from functools import partial
 from typing import Any, TypeVar
 
 from skygcs.events import Event
@@ -74,8 +75,9 @@ class DiskWriter:
         self._none_waits = asyncio.Event()
         self._none_waits.set()
         self._closed = False
-        self.written = 0
-        self.dropped = 0
+        self._failing: set[str] = set()
+        """Descriptions of jobs of `keep` that failed last."""
+        self.written = self.failed = self.dropped = 0
 
     def offer(self, what: str, job: Callable[[], object], size: int = 0) -> asyncio.Future[Any] | None:
         """Do ``job`` when the disk takes it. Returns its outcome to come, whose OSError the caller should report; None
@@ -92,6 +94,12 @@ class DiskWriter:
         done = self._loop.run_in_executor(self._thread, job)
         done.add_done_callback(self._on_done)
         return done
+
+    def keep(self, what: str, job: Callable[[], object], size: int = 0) -> None:
+        """`offer` of what nobody waits for. That it cannot be written is reported once until it can be again."""
+        done = self.offer(what, job, size)
+        if done is not None:
+            done.add_done_callback(partial(self._on_kept, what))
 
     async def run(self, what: str, job: Callable[[], T], size: int = 0, within_s: float = WITHIN_S) -> T:
         """Do ``job`` and return its result. Raises what it raises, and OSError if the disk does not take it within
@@ -132,6 +140,7 @@ class DiskWriter:
         """JSON-able."""
         return {
             "written": self.written,
+            "failed": self.failed,
             "dropped": self.dropped,
             "waiting": len(self._waiting),
             "waiting_bytes": self._bytes,
@@ -143,7 +152,8 @@ class DiskWriter:
             return
         _, size, _ = self._waiting.popleft()
         self._bytes -= size
-        self.written += not done.cancelled() and done.exception() is None
+        failed = done.cancelled() or done.exception() is not None
+        self.written, self.failed = self.written + (not failed), self.failed + failed
         if self._waiting:
             what, more, _ = self._waiting[0]
             self._waiting[0] = (what, more, self._clock())
@@ -154,6 +164,15 @@ class DiskWriter:
             seconds = self._clock() - since
             text = f"the disk takes files again after {seconds:.0f} s; {self.dropped} writes were dropped so far"
             self._report(text, seconds=round(seconds, 1), dropped=self.dropped)
+
+    def _on_kept(self, what: str, done: asyncio.Future[Any]) -> None:
+        error = None if done.cancelled() else done.exception()
+        if error is None:
+            self._failing.discard(what)
+        elif what not in self._failing:
+            self._failing.add(what)
+            why = getattr(error, "strerror", None) or error
+            self._report(f"{what} cannot be written: {why}; everything else goes on", what=what)
 
     def _look(self) -> None:
         """Report a job that takes long, once; go on looking while any waits."""

@@ -74,6 +74,9 @@ async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monk
         assert gcs.control()["state"] == "flying"
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.4)
         assert gcs.farthest_m(since) < 4.0
+        (cut,) = (await gcs("control.record", targets="v1", on=False))["files"].values()
+        assert str(tmp_path) in cut
+        assert (await gcs("control.record", targets="v1", on=False))["files"] == {"v1": None}
 
 
 async def test_a_log_directory_that_cannot_be_written_is_told_and_control_begins(tmp_path: Path) -> None:

@@ -282,3 +282,26 @@ async def test_orders_are_refused_but_those_that_end_a_flight(tmp_path: Path) ->
             with pytest.raises(RefusedError, match="shutting down"):
                 await gcs(order, targets="v1")
         assert (await gcs.outcome("vehicles.hold", "v1"))["result"] != "refused"
+
+
+async def test_all_that_waits_when_the_daemon_ends_has_an_answer(tmp_path: Path) -> None:
+    """And no vehicle seems to be lost, or back, by that."""
+    waiting: dict[str, dict[str, Any]] = {
+        "vehicles.renumber": {"target": "v2", "sysid": 23},
+        "params.get": {"targets": "v1", "names": ["MIS_TAKEOFF_ALT"]},
+        "vehicles.arm": {"targets": "v1", "wait_s": 60.0},
+        "vehicles.request": {"targets": "v1", "message": "AUTOPILOT_VERSION"},
+        "missions.download": {"target": "v1"},
+        "preflight.run": {"targets": "v1"},
+        "logs.list": {"targets": "v1"},
+        "fence.test": {"targets": "v1", "radius_m": 5.0},
+    }
+    async with on_the_ground(tmp_path) as gcs:
+        for sim in gcs.sims:
+            sim.faults.deaf = True  # it is heard, and answers nothing
+        asked = [asyncio.create_task(gcs(name, **params)) for name, params in waiting.items()]
+        await asyncio.sleep(0.3)
+        assert not [task for task in asked if task.done()]
+        await gcs.stopped(WITHIN_S)
+        told = [str(task.result()) for task in asked] + [event.text for event in gcs.told]
+        assert not [text for text in told if "back after" in text or "no heartbeat" in text]

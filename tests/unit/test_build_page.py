@@ -70,12 +70,19 @@ def test_checks_that_passed_are_not_repeated_before_a_source_changes(checkout: P
         "touch node_modules/.package-lock.json build/tests.js ../static/index.html\n"
     )
 
-    def checked() -> bool:
-        before = said.read_text().count(" check\n") if said.exists() else 0
-        assert build(checkout, "--check").returncode == 0
-        return said.read_text().count(" check\n") > before
+    def ran(step: str, *options: str) -> bool:
+        before = said.read_text().count(f" {step}\n") if said.exists() else 0
+        assert build(checkout, *options).returncode == 0
+        return said.read_text().count(f" {step}\n") > before
 
-    assert build(checkout).returncode == 0  # built only
-    assert [checked(), checked()] == [True, False]
-    os.utime(page / "package-lock.json")
-    assert [checked(), checked()] == [True, False]
+    assert ran("build") and not ran("build")
+    assert [ran("check", "--check"), ran("check", "--check")] == [True, False]
+    source = page / "src/one.ts"
+    source.parent.mkdir()
+    for change in (lambda: os.utime(page / "package-lock.json"), source.touch, source.unlink):
+        change()
+        assert [ran("check", "--check"), ran("check", "--check")] == [True, False]
+    npm = checkout / "bin/npm"
+    npm.write_text(f"{npm.read_text()}touch {source}\n")
+    source.touch()
+    assert ran("build") and ran("build"), "a source that changed while it was built"

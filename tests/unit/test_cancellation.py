@@ -28,6 +28,7 @@ SWALLOWS = {
     ("cli/radio_port.py", "run"): "raised as KeyboardInterrupt",
     ("web/daemon_connection.py", "run"): "its owner sets `stopping` before it cancels, and that is asked after",
     ("runtime/fleet_orders.py", "_carry_on"): "ends its task: whoever gave the order gets its outcomes",
+    ("runtime/renumbering.py", "run"): "the end of the daemon ends the change: whoever asked for it gets its outcome",
     ("rpc/dispatch.py", "_finish"): "ends its task: the client gets an error",
 }
 """Functions in which a CancelledError ends otherwise than by being raised again, and why it may."""

@@ -198,7 +198,7 @@ class ClientConnection(asyncio.Protocol):
         Raises RpcError for a request that is too long for the daemon, and while too much waits; DaemonUnreachable."""
         if self._lost is not None:
             raise self._lost
-        if len(self._calls) >= MAX_UNANSWERED or self._is_full():
+        if len(self._calls) >= MAX_UNANSWERED or self.transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
             text = f"{method[:40]} is not sent: {self._address} does not answer what was sent before"
             raise RpcError(LIMIT_EXCEEDED, f"{text} ({len(self._calls)} requests); connect anew to send it now")
         number = self._last_number = self._last_number + 1
@@ -212,9 +212,9 @@ class ClientConnection(asyncio.Protocol):
         return number
 
     def notify(self, method: str, params: dict[str, Any]) -> None:
-        """Send what has no answer; nothing if the connection has ended or too much waits. Raises ValueError for what
-        JSON lacks."""
-        if self._lost is None and not self._is_full():
+        """Send what has no answer, also while too much waits: the end of a subscription, which would go on without.
+        Nothing if the connection has ended. Raises ValueError for what JSON lacks."""
+        if self._lost is None:
             self.transport.write(notification(method, _encoded(params)) + b"\n")
 
     async def close(self) -> None:
@@ -227,9 +227,6 @@ class ClientConnection(asyncio.Protocol):
                     await self._closed.wait()
             except TimeoutError:
                 self.transport.abort()
-
-    def _is_full(self) -> bool:
-        return self.transport.get_write_buffer_size() > MAX_UNSENT_BYTES
 
     # -- what asyncio calls
 

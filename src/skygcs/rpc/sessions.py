@@ -488,7 +488,8 @@ class _Batch:
 
 class Turns:
     """Sessions with lines to process: one line, or one request of a batch, of each in turn, those beyond the places
-    first, TURN_S at a time, and half of the time at most while control ticks are due (`Slices.rest_s`)."""
+    first, TURN_S at a time, and half of the time at most while control ticks are due (`Slices.rest_s`); a session
+    whose line took long leaves its turns to the others for a while (`Slices.own_rest_s`)."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, slices: Slices) -> None:
         self._loop = loop
@@ -529,11 +530,14 @@ class Turns:
             except Exception as error:  # an internal fault ends only the session whose line caused it
                 _log.error("rpc session failed", exc_info=error)
                 session.close()
-            if more:
-                waiting.append(session)
-            else:
+            before, now = now, self._slices.now()
+            if not more:
                 self._queued.discard(session)
-            now = self._slices.now()
+            elif rest_s := self._slices.own_rest_s(now - before):
+                session.hold_back()
+                self._loop.call_later(rest_s, self._go_on_with, session)
+            else:
+                waiting.append(session)
             if now - began > TURN_S:
                 break
         self._rests_until = now + self._slices.rest_s(now - began)
@@ -541,6 +545,10 @@ class Turns:
             for session in waiting:
                 session.hold_back()
             self._run_later()
+
+    def _go_on_with(self, session: Session) -> None:
+        self._queued.discard(session)
+        self.add(session)
 
 
 class Sessions:

@@ -1,8 +1,8 @@
 """Keeps the parameters of vehicles on disk, one file per vehicle, so that a reconnect transfers none; and the tables of
 parameter metadata that were read from vehicles, one per build of firmware.
 
-A file that is missing, broken, of another format or of another firmware is ignored; if a file cannot be written, the
-next connection reads the list again.
+A file that is missing, broken, of another format or of another firmware is ignored. If a file cannot be written, that
+is reported once, and the next connection reads the list again.
 """
 
 from __future__ import annotations
@@ -99,9 +99,10 @@ class ParamCache:
 
     def _write(self, job: Callable[[], object], size: int = 0) -> None:
         if self.disk is None:
-            job()
+            with contextlib.suppress(OSError):
+                job()
         else:
-            self.disk.offer("the parameter cache", job, size)
+            self.disk.keep("the parameter cache", job, size)
 
     def load_table(self, crc: int) -> bytes | None:
         """The table of parameter metadata that was made of a vehicle's file with this CRC."""
@@ -121,9 +122,13 @@ class ParamCache:
             return False
         job = partial(_store, path, data, "*.tsv", MAX_TABLES)
         try:
-            return job() if self.disk is None else await self.disk.run("parameter metadata", job, len(data))
+            if self.disk is None:
+                job()
+            else:
+                await self.disk.run("parameter metadata", job, len(data))
         except OSError:
             return False
+        return True
 
     def _table_path(self, crc: int) -> Path | None:
         return None if self._folder is None else self._folder / f"metadata-{crc:08x}.tsv"
@@ -141,16 +146,13 @@ def _touch(path: Path) -> None:
         os.utime(path)
 
 
-def _store(path: Path, content: bytes, pattern: str, most: int) -> bool:
-    """Write a file and remove the oldest of its kind beyond ``most``; without a disk nothing is stored."""
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, content, 0o600, durable=False)
-        files = sorted(path.parent.glob(pattern), key=lambda p: p.stat().st_mtime)
-        for old in files[: max(0, len(files) - most)]:
-            old.unlink(missing_ok=True)
-        return True
-    return False
+def _store(path: Path, content: bytes, pattern: str, most: int) -> None:
+    """Write a file and remove the oldest of its kind beyond ``most``. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content, 0o600, durable=False)
+    files = sorted(path.parent.glob(pattern), key=lambda p: p.stat().st_mtime)
+    for old in files[: max(0, len(files) - most)]:
+        old.unlink(missing_ok=True)
 
 
 def _encode(cached: CachedParams, key: CacheKey) -> dict[str, Any]:

@@ -203,6 +203,7 @@ class Preflight(VehiclePart):
             judged=len(known),
             pose_problem=None if self._pose_problem is None else self._pose_problem(self._loop.time()),
             origin_off_m=None if self.vehicle.origin is None else off_m(self.vehicle, self.vehicle.origin),
+            dropped=self.vehicle.dropped,
         )
 
     async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:

@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from skygcs.cancellation import end_if_cancelled
 from skygcs.config.tables import key_lines, line_of
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import flight_lock
@@ -72,6 +73,12 @@ class Renumbering:
         self._on_event = on_event
         self._source = source
         self._busy: str | None = None
+        self._change: asyncio.Task[Outcome] | None = None
+
+    def close(self) -> None:
+        """The daemon ends: end the change that is under way, with an outcome that says so."""
+        if self._change is not None:
+            self._change.cancel()
 
     async def run(self, target: str, sysid: int, *, force: bool = False) -> dict[str, Outcome]:
         """Give it the id; returns the outcome by its name. ``force``: even if the fleet file gives that id to a vehicle
@@ -86,14 +93,16 @@ class Renumbering:
             return {name: self._finish(name, before, sysid, Outcome.refused(str(error)))}
         self._busy = name
         started = self._loop.time()
+        self._change = self._loop.create_task(self._carry(actor, sysid), name=f"{name} gets another id")
         try:
-            outcome = await self._carry(actor, sysid)
+            outcome = await self._change
         except asyncio.CancelledError:
             text = f"cancelled during the change: it may come back as system {before} or {sysid}"
-            self._finish(name, before, sysid, Outcome(False, "cancelled", text))
-            raise
+            ended = self._finish(name, before, sysid, Outcome(False, "cancelled", text))
+            end_if_cancelled()  # nobody waits for the answer
+            return {name: ended}
         finally:
-            self._busy = None
+            self._busy = self._change = None
             self._fleet.expect_when_lost(sysid)
         return {name: self._finish(name, before, sysid, replace(outcome, elapsed_s=self._loop.time() - started))}
 

@@ -59,6 +59,11 @@ class TraceFile:
             raise OSError(f"the trace has reached {LARGEST_BYTES // 1_000_000} MB")
         return text
 
+    @property
+    def begun(self) -> bool:
+        """True if there is a file."""
+        return self._file is not None
+
     def write(self, text: str) -> None:
         """Write these lines; the first ones make the file. Raises OSError."""
         if self._closed:
@@ -91,6 +96,8 @@ class Recording:
         self._on_event = on_event
         self._wanted = False
         self._file: TraceFile | None = None
+        self._cut: Path | None = None
+        """Path of a trace that the disk has ended; `record` returns it once."""
         self._lines: list[str] = []
         self._size = 0
         self._flushed_at = 0.0
@@ -101,12 +108,12 @@ class Recording:
         return None if self._file is None else self._file.path
 
     def record(self, on: bool) -> Path | None:
-        """Turn tracing on or off, also for later engagements. Returns the path of the open file, or of the last one;
-        None if there is none yet."""
+        """Turn tracing on or off, also for later engagements. Returns the path of the file that is written, or was
+        until now, or until the disk took no more; None: nothing was."""
         self._wanted = on
         if on and self._offboard.active:
             self.begin()
-        path = self.path
+        path, self._cut = self.path or self._cut, None
         if not on:
             self.end()
         return path
@@ -169,6 +176,7 @@ class Recording:
         if file is None or (of is not None and of is not file):
             return
         self._file, self._lines, self._size, self._offboard.tracing = None, [], 0, False
+        self._cut = file.path if file.begun else None
         self._disk.offer("control trace", file.close)
         vehicle = self._offboard.vehicle
         text = f"its control trace has ended: {getattr(error, 'strerror', None) or error}"

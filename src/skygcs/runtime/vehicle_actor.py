@@ -373,7 +373,7 @@ class VehicleActor:
         for part in self._parts.values():
             part.close(reason)
         self.commands.close(reason)
-        self.vehicle.disconnect()  # nobody ticks it any more
+        self.vehicle.disconnect(reason)  # nobody ticks it any more
 
     async def ended(self) -> None:
         """After `close`: wait for the end of what the parts of extensions still note."""

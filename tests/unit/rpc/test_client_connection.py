@@ -188,8 +188,9 @@ async def test_a_daemon_that_answers_or_reads_nothing_makes_its_client_keep_no_m
                 for _ in range(40):
                     connection.start("vehicles.get", {"target": "x" * 100_000}, Mock())
             assert (len(connection._calls) == 7) is (bound == "MAX_UNANSWERED")
-            assert connection.transport.get_write_buffer_size() < 1_300_000
-            connection.notify("unsubscribe", {"subscription": 1})
+            assert (unsent := connection.transport.get_write_buffer_size()) < 1_300_000
+            connection.notify("unsubscribe", {"subscription": 1})  # else the daemon sends on when it reads again
+            assert connection.transport.get_write_buffer_size() > unsent
             connection.transport.abort()
             await connection.close()
     server.close()

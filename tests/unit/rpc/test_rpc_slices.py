@@ -19,7 +19,7 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.ext.params import methods as params
 from skygcs.rpc import slices
 from skygcs.rpc.sessions import Turns
-from skygcs.rpc.slices import AHEAD_S, LOOK_S, ORDER_S, PAUSE_S, PUT_OFF_S, Slices
+from skygcs.rpc.slices import AHEAD_S, LOOK_S, MOST_REST_S, ORDER_S, PAUSE_S, PUT_OFF_S, Slices
 from skygcs.runtime import onboard_orders
 from skygcs.runtime.task_set import OneATurn
 from support.table import each
@@ -91,6 +91,25 @@ async def test_requests_have_half_of_the_time_while_control_ticks_are_due(due_s:
         await asyncio.sleep(0.001)
     paused = [after - before for before, after in itertools.pairwise(begun)]
     assert paused == pytest.approx([0.006 if due_s == 0.0 else 0.0] * 4, abs=0.0011)
+
+
+@pytest.mark.looptime
+async def test_a_client_whose_lines_take_long_waits_and_the_others_do_not() -> None:
+    loop, begun = asyncio.get_running_loop(), {"long": list[float](), "short": list[float]()}
+    pauses = Slices(loop, lambda: 0.0)
+    pauses.now = lambda: loop.time() + 0.04 * len(begun["long"])
+    turns = Turns(loop, pauses)
+    sessions = {name: Mock(restricted=False) for name in begun}
+    sessions["long"].work = lambda: begun["long"].append(loop.time()) or True  # type: ignore[func-returns-value]
+    sessions["short"].work = lambda: begun["short"].append(loop.time())
+    turns.add(sessions["long"])
+    while loop.time() < 1.0:
+        turns.add(sessions["short"])
+        turns.add(sessions["long"])  # more of it comes
+        await asyncio.sleep(0.001)
+    paused = {name: [after - before for before, after in itertools.pairwise(times)] for name, times in begun.items()}
+    assert min(paused["long"]) >= 0.12 and len(begun["long"]) >= 7
+    assert max(paused["short"]) <= MOST_REST_S + 0.002
 
 
 class Ticks:

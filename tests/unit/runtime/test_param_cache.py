@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
+from skygcs.disk_writer import DiskWriter
+from skygcs.events import Event
 from skygcs.runtime import param_cache
 from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache, default_cache_dir
 from support.table import each
@@ -69,3 +73,19 @@ def test_a_file_out_of_all_proportion_is_not_read(tmp_path: Path, monkeypatch: p
 def test_it_lies_where_caches_lie(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert default_cache_dir() == Path("/somewhere/skygcs/params")
+
+
+async def test_a_full_disk_is_reported_once_until_it_takes_files_again(tmp_path: Path) -> None:
+    events: list[Event] = []
+    cache, folder = ParamCache(tmp_path / "folder"), tmp_path / "folder"
+    cache.disk = disk = DiskWriter(asyncio.get_running_loop(), events.append)
+    for full in (True, True, False, True):
+        if full:
+            folder.write_text("")  # in the place of the folder
+        cache.store(KEY, CachedParams(PARAMS, 1))
+        await disk.settled()
+        folder.unlink() if full else shutil.rmtree(folder)
+    await disk.close()
+    text = "the parameter cache cannot be written: File exists; everything else goes on"
+    assert [event.text for event in events] == [text] * 2
+    assert (disk.status()["written"], disk.status()["failed"]) == (1, 3)

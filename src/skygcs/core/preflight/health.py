@@ -72,6 +72,8 @@ def reachable(facts: PreflightFacts, wanted: Expectations) -> Finding:
     state = facts.state
     if state["replayed"]:
         return failed("it is heard only in a recording", "there is no vehicle to fly: remove the replay link")
+    if facts.dropped:
+        return failed(facts.dropped, "repeat the preflight when it is heard again")
     if not state["connected"]:
         age = state["last_heartbeat_age_s"]
         heard = "never" if age is None else f"{age:.0f} s ago"

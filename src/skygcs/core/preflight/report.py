@@ -174,6 +174,8 @@ class PreflightFacts:
     """Why it cannot fly by its poses of motion capture now; None: it can, or it has none."""
     origin_off_m: float | None = None
     """Distance of its estimator's origin from [origin]; None: it has reported none."""
+    dropped: str = ""
+    """Why nothing is done with it any more; empty: it is."""
 
     @property
     def family(self) -> str:

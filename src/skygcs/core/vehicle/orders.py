@@ -376,6 +376,8 @@ def require_live(vehicle: Vehicle) -> None:
 
 def require_connected(vehicle: Vehicle, now: float) -> None:
     require_live(vehicle)
+    if vehicle.dropped:
+        raise RefusedError(vehicle.dropped)
     if not vehicle.connected:
         age = vehicle.silence_s(now)
         raise RefusedError("it is lost: " + ("no heartbeat yet" if age is None else f"no heartbeat for {age:.0f} s"))

@@ -93,6 +93,9 @@ class Vehicle:
     """When an arming of ours was last sent, and until when it may be armed by that before a heartbeat shows it."""
     _vtol_state = 0
 
+    dropped = ""
+    """Why nothing is done with it any more; see `disconnect`."""
+
     def __init__(
         self,
         sysid: int,
@@ -190,9 +193,9 @@ class Vehicle:
             self.on_frame(frame, at)
         self.disconnect()
 
-    def disconnect(self) -> None:
-        """Count as lost, without an event, until it is heard."""
-        self.connected = False
+    def disconnect(self, why: str = "") -> None:
+        """Count as lost, without an event, until it is heard; with ``why`` for good."""
+        self.connected, self.dropped = False, why
         self._lost_at = self._heard_at
 
     def state_update_only(self, msgid: int) -> Slot | None:
@@ -520,6 +523,8 @@ class Vehicle:
             self.mode_changes, self.mode_since = self.mode_changes + 1, now
         self.base_mode, self.custom_mode, self.system_status = base_mode, custom_mode, system_status
         if not self.connected:
+            if self.dropped:
+                return ()
             self.connected = True
             if first:
                 self._known_since = now
