@@ -276,8 +276,8 @@ class StreamOwner:
         return before
 
     def ended(self, how: str, now: float, *, spares: ClientIdentity | None = None) -> Callable[[], None]:
-        """The stream has ended; its owner, unless its deadline had passed or it is ``spares``, has lost it. Call what is
-        returned if nothing has come of what ended it: the owner goes on, unless another has begun."""
+        """The stream has ended; its owner, unless its deadline had passed or it is ``spares``, has lost it. Call what
+        is returned if nothing has come of what ended it: the owner goes on, unless another has begun."""
         client, self._client = self._client, None
         self._lost = {c: lost for c, lost in self._lost.items() if now <= lost[0] and not c.gone}
         if client is not None and client is not spares and not client.gone and now <= self._until:
