@@ -522,6 +522,7 @@ class VehicleActor:
         finally:
             if may_have_effect(outcome):
                 self.streams.leave(name)
+                self.offboard.rate_set(name)
         return outcome
 
     async def request_message(self, message: str | int) -> Outcome:
