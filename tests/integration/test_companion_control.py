@@ -144,13 +144,15 @@ async def test_a_client_of_the_companions_own_and_the_ground_do_not_fly_it_in_tu
         await pair.done("control.setpoint", client=other, **still)
 
 
-async def test_what_the_companion_refuses_the_ground_ends_no_stream_there(tmp_path: Path) -> None:
+async def test_what_the_companion_refuses_the_ground_ends_no_stream_at_either(tmp_path: Path) -> None:
     async with companion_pair(tmp_path, px4=1, engaged="raw") as pair:
         level = {"acc_enu_mps2": [0.0, 0.0, 0.0], "valid_s": 2.0}
-        await pair.pi.done("control.setpoint", **level)
-        refused = await pair.outcome("vehicles.goto", enu_m=[3.0, 0.0, 10.0])
-        assert not refused["ok"] and "it is flown in raw" in refused["message"], refused
-        await pair.pi.done("control.setpoint", **level)
+        for side, first in ((pair.pi, {}), (pair, {"take_over": True})):
+            await side.done("control.setpoint", **level, **first)
+            await asyncio.sleep(0.3)
+            refused = await pair.outcome("vehicles.goto", enu_m=[3.0, 0.0, 10.0])
+            assert not refused["ok"] and "it is flown in raw" in refused["message"], refused
+            await side.done("control.setpoint", **level)
 
 
 async def test_a_setpoint_that_the_ground_refuses_does_not_make_the_next_one_insist(

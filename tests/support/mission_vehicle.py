@@ -137,7 +137,8 @@ class ArduPilotMission(MissionVehicle):
 
 
 class Px4Mission(MissionVehicle):
-    """Keeps the old mission until the new one is whole; answers only the next item and the one before it."""
+    """Keeps the old mission until the new one is whole; answers only the next item and the one before it. A request of
+    another ends the transfer, said once; what is requested after the end has no answer (mavlink_mission.cpp)."""
 
     RETRY_S = 0.25
     GIVE_UP_S = 5.0
@@ -190,9 +191,10 @@ class Px4Mission(MissionVehicle):
 
     def on_wanted(self, seq: int) -> list[Reply]:
         if self.sending is None:
-            return self.ack(1)
+            return []
         if seq not in (self.sending, self.sending - 1) or seq >= len(self.items):
-            return self.ack(13)
+            self.sending = None
+            return self.ack(1)
         self.sending, self.heard_at = seq + 1, self.now
         return self.item(seq)
 

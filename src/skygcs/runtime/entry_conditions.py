@@ -197,6 +197,10 @@ class ControlStreams:
         if self._owed_hz and self._vehicle.connected and (self._restoring is None or self._restoring.done()):
             self._restoring = self._tasks.start(self._restore_owed(), "rates from before control")
 
+    def settle(self, name: str) -> None:
+        """Owe this message no rate any more."""
+        self._owed_hz.pop(name, None)
+
     async def _restore_owed(self) -> None:
         asked: set[str] = set()
         while names := self._owed_hz.keys() - asked:

@@ -428,6 +428,10 @@ class OffboardEngagement:
         if not self.controller.active:
             self._streams.restore()
 
+    def rate_set(self, name: str) -> None:
+        """A person has set the rate of this message: it stays."""
+        self._streams.settle(name)
+
     def watch(self, now: float) -> None:
         """Called a few times a second."""
         if self.controller.active:

@@ -192,9 +192,9 @@ class StreamGate:
         if (before := self.owner.followed(client, valid_s, self._loop.time())) is not None:
             self._report(f"{client.name} has taken over from the setpoints of {before.name}", client)
 
-    def ended(self, how: str, *, spares: ClientIdentity | None = None) -> None:
+    def ended(self, how: str, *, spares: ClientIdentity | None = None) -> Callable[[], None]:
         """An order leads it from now on; see `StreamOwner.ended`."""
-        self.owner.ended(how, self._loop.time(), spares=spares)
+        return self.owner.ended(how, self._loop.time(), spares=spares)
 
     def _report(self, text: str, client: ClientIdentity) -> None:
         self._on_event(Event("control", self._vehicle.name, self._vehicle.sysid, text, {"client": client.name}))

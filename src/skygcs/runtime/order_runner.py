@@ -211,7 +211,11 @@ class OrderRunner:
 
     def _todo_after(self, outcome: Outcome) -> str | None:
         """The message with what the operator has to do first; None: nothing that the vehicle has said needs that."""
-        todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
+        todo = (
+            None
+            if outcome.ok
+            else todo_for(outcome.status_texts, self._vehicle.name, self._vehicle.abilities.stop_mode)
+        )
         if todo is None or todo in outcome.message:  # said by the step
             return None if todo is None else outcome.message
         return f"{outcome.message}; {todo}"

@@ -478,9 +478,18 @@ class VehicleActor:
         if (why := await self.runner.precedence.late()) is not None:
             return self.refuse("goto", why)
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
-        self.program = None
-        self.stream.ended("a goto was ordered")
-        outcome = await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
+        program, refused = self.program, False
+        goes_on = self.stream.ended(
+            "a goto was ordered"
+        )  # a setpoint would overtake the goto on its way to a companion
+        try:
+            outcome = await self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
+            refused = outcome.result == "refused"
+        finally:
+            if refused:
+                goes_on()
+            elif self.program is program:
+                self.program = None
         if outcome.ok:
             self.runner.precedence.note_effect()
         return self.outcomes.finish("goto", outcome)
@@ -513,6 +522,7 @@ class VehicleActor:
         finally:
             if may_have_effect(outcome):
                 self.streams.leave(name)
+                self.offboard.rate_set(name)
         return outcome
 
     async def request_message(self, message: str | int) -> Outcome:

@@ -78,6 +78,9 @@ ARRIVED_M = 2.0
 FIELD_M = 10_000.0
 """In a frame whose origin is farther away, up is more than 0.1 degrees off."""
 
+FIELDS = 4
+"""Fields farther apart than that whose missions stay made while orders come to them in turn."""
+
 
 class Destination(NamedTuple):
     """Where skygcs has sent a vehicle. It holds while nothing newer of ours moves it, or may, and its mode is the same.
@@ -113,14 +116,14 @@ class VehicleWays:
         self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
         self._spaces: dict[int, TrajectorySpace] = {}
         self._boxes: dict[int, MissionBox] = {}
-        self._missions: dict[int, MissionSpace] = {}
-        """The missions that are flown, in `_frame`."""
-        self._frame: EnuFrame | None = None
-        """The frame in which ways are compared with that of an order."""
+        self._fields: list[tuple[EnuFrame, dict[int, MissionSpace]]] = []
+        """Frames in which ways are compared with that of an order, and the missions that are flown in each; at most
+        FIELDS, that of the newest order last."""
 
     def forget_gone(self) -> None:
         """Keep nothing of vehicles that the fleet has forgotten."""
-        kept = (self._destinations, self._beginning, self._footprints, self._spaces, self._boxes, self._missions)
+        kept: list[dict[int, Any]] = [missions for _, missions in self._fields]
+        kept += [self._destinations, self._beginning, self._footprints, self._spaces, self._boxes]
         for table in kept:
             for key in table.keys() - self._actors.keys():
                 del table[key]
@@ -280,10 +283,14 @@ class VehicleWays:
         """The frame in which ways are compared with that of an order: the same one for a field, so that missions stay
         made (`MissionSpace`)."""
         lat_deg, lon_deg, _ = mover.here
-        if self._frame is None or math.hypot(*self._frame.from_geodetic(lat_deg, lon_deg, 0.0)) > FIELD_M:
-            self._frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
-            self._missions.clear()
-        return self._frame
+        for field in reversed(self._fields):
+            if math.hypot(*field[0].from_geodetic(lat_deg, lon_deg, 0.0)) <= FIELD_M:
+                self._fields = [other for other in self._fields if other is not field]
+                break
+        else:
+            field = EnuFrame(Origin(lat_deg, lon_deg, 0.0)), {}
+        self._fields = [*self._fields, field][-FIELDS:]
+        return field[0]
 
     # -- ways that vehicles have still to fly
 
@@ -451,11 +458,10 @@ class VehicleWays:
         if run.returns and run.height == UNKNOWN:
             run = run._replace(height=known_return_height(vehicle))
         of = MissionOf(mover.key, mover.name, mover.footprint, run, base, frame, vehicle.mission_reach_m)
-        space = self._missions.get(mover.key)
+        made = next((missions for known, missions in self._fields if known is frame), {})
+        space = made.get(mover.key)
         if space is None or space.of != of:
-            space = MissionSpace(of)
-            if frame is self._frame:
-                self._missions[mover.key] = space
+            space = made[mover.key] = MissionSpace(of)
         way = space.way(mover.here)
         here, first = frame.from_geodetic(*mover.here), way.legs[min(1, len(way.legs) - 1)]
         velocity = world_from_enu(mover.velocity_mps, frame.origin)

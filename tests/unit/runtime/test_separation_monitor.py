@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from skygcs.core.vehicle.frames import Setpoint
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
+from skygcs.runtime.vehicle_ways import FIELDS
 from support.services import KnownLinks
 from support.vehicles import flight_dialect
 from support.watched_fleet import ORIGIN, VehicleOfFleet, WatchedVehicle
@@ -52,6 +54,20 @@ async def crowd(sky: Sky, seconds: float) -> None:
             vehicle.heartbeat(now)
             vehicle.position(now, (0.01 * i, 0.0, 20.0))
         await asyncio.sleep(0.5)
+
+
+async def test_the_missions_of_some_fields_stay_made_while_orders_come_to_them_in_turn() -> None:
+    ways = Sky(1).monitor.ways
+
+    def place(field: int, east_deg: float = 0.0) -> Any:
+        return SimpleNamespace(here=(43.78 + 0.2 * field, -79.46 + east_deg, 0.0))
+
+    frames = [ways.frame_of(place(field)) for field in range(FIELDS)]
+    for field, frame in [*enumerate(frames), *enumerate(frames)]:
+        assert ways.frame_of(place(field, 0.05)) is frame
+    for field in range(50):
+        ways.frame_of(place(field))
+    assert len(ways._fields) == FIELDS
 
 
 async def test_a_full_fleet_at_one_place_is_evaluated_in_turns_and_bounded() -> None:

@@ -24,17 +24,23 @@ list's type may be handed in to any of them.
     LISTING    count                                          FETCHING     MISSION_REQUEST_INT of item 0
     LISTING    ack: denied, for less than DENIED_S            LISTING      - (the timer asks again)
     LISTING    ack refusing (not: error, gave up)             SETTLING     - (the text that says why may follow)
-    FETCHING   the item asked for, not the last               FETCHING     Report, MISSION_REQUEST_INT of the next
+    FETCHING   the item asked for, not the last               FETCHING     Report, MISSION_REQUEST_INT of the next (in
+                                                                           later rounds not before the gap is over)
     FETCHING   the item asked for, the last                   DONE         MISSION_ACK, Finish: accepted
     FETCHING   another item (late, twice)                     FETCHING     -
     FETCHING   timer, repeats left                            FETCHING     MISSION_REQUEST_INT again
     FETCHING   another count, or ack refusing                 LISTING      MISSION_REQUEST_LIST: it is another list now
-    LISTING, FETCHING   timer, or rounds, none left           DONE         Finish: timeout or failed
+    FETCHING   timer, no repeats left                         LISTING      MISSION_REQUEST_LIST: it ended it unheard
+    LISTING    timer, no repeats left                         DONE         Finish: timeout
+    LISTING, FETCHING   no rounds left                        DONE         Finish: failed
     SETTLING   timer                                          DONE         Finish: that refusal
     not DONE   stop (cancelled, vehicle lost, ...)            DONE         MISSION_ACK (cancelled), Finish: as given
     DONE       anything                                       DONE         -
 
-One request is under way at a time: a PX4 answers only the next item and the one before it.
+One request is under way at a time: a PX4 answers only the next item and the one before it. A late copy of an earlier
+request ends its transfer: it says so once, in an ack that may be lost, and answers no request but that of the list
+(1.16, handle_mission_request_both of mavlink_mission.cpp). So each round leaves more time between one request and the
+next: `LEAST_GAP_S`, `MOST_GAP_S`.
 
 Protocol: https://mavlink.io/en/services/mission.html
 """
@@ -67,6 +73,9 @@ SAMPLES = 8
 
 MAX_TRIES = 20
 """Transmissions of one request. With 20 % lost each way, one transfer in 700 million needs more."""
+
+ITEM_TRIES = MAX_TRIES // 2
+"""Those of one item until the list is asked for again. With 20 % lost each way, one item in 27 000 needs more."""
 
 CLEAR_TRIES = 8
 
@@ -331,8 +340,13 @@ def item_values(item: MissionItem, seq: int) -> Mapping[str, Any]:
 MAX_ROUNDS = 12
 """Times that the list is fetched from its beginning; one that changes more often is being changed by somebody. A PX4
 ends a transfer after 5 s without a request that it hears: 18 items at 25 % lost each way and delays up to 1 s failed in
-298 of 3000 runs with 4 rounds, in 31 with 8 and in 1 with 12."""
+23 of 300 runs with 4 rounds, in none with 8; 12 leave room for slower links (2 of 40 failed with 4 s round trips)."""
 
+
+LEAST_GAP_S, MOST_GAP_S = 0.5, 1.0
+"""Time from one request to that of the next item in the second round, and from the third on, so that no copy of the
+first arrives behind the other; none in the first round. A longer one leaves too few repeats of a lost request within
+the 5 s of a PX4."""
 
 DENIED_S = 10.0
 """An ArduPilot denies its list while it waits for the items of an upload that was broken off: 8 s from the last one
@@ -360,6 +374,8 @@ class MissionDownload(MissionProtocol):
         self._rounds = 1
         self._tries = 0
         self._asked = 0.0
+        self._sent_at = 0.0
+        self._gap_s = 0.0
         self._refusal = 0
         self._denied_at: float | None = None
 
@@ -380,7 +396,7 @@ class MissionDownload(MissionProtocol):
         return self._request(now)
 
     def on_item(self, seq: int, fields: Mapping[str, Any], now: float) -> tuple[Effect, ...]:
-        if self.state is not DownloadState.FETCHING or seq != len(self._items):
+        if self.state is not DownloadState.FETCHING or seq != len(self._items) or not self._tries:
             return ()
         try:
             item = MissionItem.from_fields(fields)
@@ -417,11 +433,15 @@ class MissionDownload(MissionProtocol):
             result, meaning = meaning_of(self._refusal)
             hint = " (an ArduPilot: 8 s from an upload that was broken off)" if self._refusal == DENIED else ""
             return self._finish(now, result, self.texts.behind(f"not read: {meaning}{hint}"))
-        self._wait.failed()
+        if self._tries:
+            self._wait.failed()
+        if self.state is DownloadState.FETCHING:
+            if self._tries < ITEM_TRIES:
+                return self._ask_item(now)
+            return self._again(now, f"no answer to {self._tries} requests of item {len(self._items)} of {self.count}")
         if self._tries < MAX_TRIES:
-            return self._ask_list(now) if self.state is DownloadState.LISTING else self._ask_item(now)
-        what = "the list" if self.state is DownloadState.LISTING else f"item {len(self._items)} of {self.count}"
-        return self._finish(now, "timeout", f"no answer to {self._tries} requests of {what}")
+            return self._ask_list(now)
+        return self._finish(now, "timeout", f"no answer to {self._tries} requests of the list")
 
     def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
         if self.state in (DownloadState.IDLE, DownloadState.DONE):
@@ -438,16 +458,18 @@ class MissionDownload(MissionProtocol):
 
     def _ask_list(self, now: float) -> tuple[Effect, ...]:
         self._tries += 1
+        self._sent_at = now
         self.deadline = now + self._wait.wait_s
         return (self._send("MISSION_REQUEST_LIST"),)
 
     def _request(self, now: float) -> tuple[Effect, ...]:
         self._tries = 0
-        self._asked = now
-        return self._ask_item(now)
+        self._asked = self.deadline = max(now, self._sent_at + self._gap_s)
+        return self._ask_item(now) if self.deadline <= now else ()
 
     def _ask_item(self, now: float) -> tuple[Effect, ...]:
         self._tries += 1
+        self._sent_at = now
         self.deadline = now + self._wait.wait_s
         return (self._send("MISSION_REQUEST_INT", seq=len(self._items)),)
 
@@ -455,6 +477,7 @@ class MissionDownload(MissionProtocol):
         if self._rounds >= MAX_ROUNDS:
             return self._finish(now, "failed", f"not read in {MAX_ROUNDS} rounds: {why}")
         self._rounds += 1
+        self._gap_s = min(MOST_GAP_S, 2 * self._gap_s or LEAST_GAP_S)
         return self._list(now)
 
     def _complete(self, now: float) -> tuple[Effect, ...]:

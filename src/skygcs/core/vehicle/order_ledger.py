@@ -275,12 +275,19 @@ class StreamOwner:
         self._until, self._valid_s, self._order = now + valid_s, valid_s, self._ledger.led_by
         return before
 
-    def ended(self, how: str, now: float, *, spares: ClientIdentity | None = None) -> None:
-        """The stream has ended; its owner, unless its deadline had passed or it is ``spares``, has lost it."""
+    def ended(self, how: str, now: float, *, spares: ClientIdentity | None = None) -> Callable[[], None]:
+        """The stream has ended; its owner, unless its deadline had passed or it is ``spares``, has lost it. Call what
+        is returned if nothing has come of what ended it: the owner goes on, unless another has begun."""
         client, self._client = self._client, None
         self._lost = {c: lost for c, lost in self._lost.items() if now <= lost[0] and not c.gone}
         if client is not None and client is not spares and not client.gone and now <= self._until:
             self._lost[client] = now + _pause_s(self._valid_s), how
+
+        def goes_on() -> None:
+            if client is not None and self._lost.pop(client, None) is not None and self._client is None:
+                self._client = client
+
+        return goes_on
 
     def engaged(self, now: float, *, anew: bool) -> None:
         """Control was set: where none leads it, one that has lost a stream may begin one. ``anew``: it was off."""

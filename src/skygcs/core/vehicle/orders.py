@@ -528,7 +528,7 @@ def _require_within(what: str, value: float, most: float) -> None:
 # --- reasons for a refusal --------------------------------------------------------------------------------------------
 
 LASTING_REASONS: tuple[tuple[str, str], ...] = (
-    (r"mode not armable", "set another mode first: skygcs-cli mode {name} GUIDED (a rover: HOLD)"),
+    (r"mode not armable", "set another mode first: skygcs-cli mode {name} {arms_in}"),
     (r"switch to manual mode first", "set another mode first: skygcs-cli mode {name} AUTO.LOITER"),
     (r"hardware safety switch|press safety", "press the safety switch on the vehicle"),
     (r"motors emergency stopped|kill switch engaged", "release the kill switch of its transmitter"),
@@ -550,17 +550,20 @@ LASTING_REASONS: tuple[tuple[str, str], ...] = (
     ),
     (r"check frame_class", "set its frame: skygcs-cli param set {name} FRAME_CLASS 1 (1: quadrotor), then reboot it"),
 )
-"""Regular expression of the vehicle's text (any case), and what to do; ``{name}`` is the vehicle."""
+"""Regular expression of the vehicle's text (any case), and what to do; ``{name}`` is the vehicle, ``{arms_in}`` a
+mode in which its class arms."""
 
 _PATTERNS = tuple((re.compile(pattern, re.IGNORECASE), todo) for pattern, todo in LASTING_REASONS)
 
 
-def todo_for(texts: Iterable[str], name: str) -> str | None:
-    """Return what the operator has to do before ``name`` arms; None if the reasons in ``texts`` may pass with time."""
+def todo_for(texts: Iterable[str], name: str, stop_mode: str = "") -> str | None:
+    """Return what the operator has to do before ``name`` arms; None if the reasons in ``texts`` may pass with time.
+    ``stop_mode``: that of its class (`Abilities`); a copter does not arm in its own, BRAKE."""
+    arms_in = "HOLD" if stop_mode == "HOLD" else "GUIDED"
     for text in texts:
         for pattern, todo in _PATTERNS:
             if pattern.search(text):
-                return todo.format(name=name)
+                return todo.format(name=name, arms_in=arms_in)
     return None
 
 

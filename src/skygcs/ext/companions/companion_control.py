@@ -386,6 +386,9 @@ class CompanionControl:
     def heard_again(self) -> None:
         """The companion asks for the rates that it needs, and gives them back."""
 
+    def rate_set(self, name: str) -> None:
+        """The companion keeps the rates of its own control; see `heard_again`."""
+
     def origin_changed(self) -> None:
         """The companion's origin follows the ground's."""
         self._relay_origin()

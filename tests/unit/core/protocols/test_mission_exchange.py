@@ -157,15 +157,11 @@ def test_any_upload_ends_bounded_and_tells_the_truth(family, seed, net, count, b
 @settings(max_examples=examples(40), deadline=None)
 @given(families, st.integers(0, 2**32), networks(1.0), st.integers(0, 25))
 def test_any_download_is_exact_or_says_that_it_failed(family: str, seed: int, net: Network, count: int) -> None:
-    """A PX4 ends a transfer in which it hears no request for 5 s: with more than 20 % lost each way and delays of a
-    second that can happen in each of the rounds (8 of 1000 runs with 25 items at 25 %)."""
+    """Whatever ended it at the vehicle, unheard: a late copy of a request, 5 s of silence. The list is asked for again.
+    (300 runs at the worst of these networks were all exact.)"""
     vehicle = VEHICLES[family](items=mission(count))
     outcome = outcome_of(MissionRig(MissionDownload(MissionType.MISSION), vehicle, net, seed).run())
-    if outcome.ok:
-        assert outcome.items == tuple(mission(count))
-    else:
-        assert net.loss > 0.2 and net.delay_s[1] > 0.7, outcome.message
-        assert outcome.items is None and outcome.state == "unchanged" and "not read in" in outcome.message
+    assert outcome.ok and outcome.items == tuple(mission(count)), outcome.message
     assert outcome.sent <= DOWNLOAD_ROUNDS * MAX_TRIES * (count + 1) + 1
 
 

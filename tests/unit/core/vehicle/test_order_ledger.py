@@ -146,7 +146,7 @@ def test_what_has_changed_the_mode_counts_though_it_is_refused_then() -> None:
 
 Streamed = list[tuple[float, str, str | None]]
 """When, who or what, and a part of the refusal; None: it is followed. "A": a setpoint of A; "A!": with take_over;
-"A gone", "order ends" (a flight), "order True", "goto", "engaged", "lead B": what happens."""
+"A gone", "order ends" (a flight), "order True", "goto", "goto refused", "engaged", "lead B": what happens."""
 
 
 @pytest.mark.parametrize(
@@ -174,6 +174,10 @@ Streamed = list[tuple[float, str, str | None]]
         [(0.0, "A", None), (0.1, "order False", None), (0.2, "A", None), (0.3, "B", "of A")],
         # of one whose deadline had passed before the order nothing was taken
         [(0.0, "A", None), (0.6, "order ends", None), (0.7, "A", None)],
+        # a companion refuses a goto, before or after another has begun
+        [(0.0, "A", None), (0.1, "goto", None), (0.15, "A", "a goto"), (0.2, "goto refused", None), (0.25, "A", None),
+         (0.3, "B", "of A")],
+        [(0.0, "A", None), (0.1, "goto", None), (0.15, "B", None), (0.2, "goto refused", None), (0.25, "A", "of B")],
         # control is set again: who had lost it goes on; an owner beside it stays the owner
         [(0.0, "A", None), (0.1, "goto", None), (0.15, "A", "a goto"), (0.2, "engaged", None), (0.25, "A", None),
          (0.3, "engaged", None), (0.3, "B", "of A"), (0.31, "engaged anew", None), (0.32, "B", None)],
@@ -201,7 +205,9 @@ def test_a_stream_has_one_owner(streamed: Streamed) -> None:
             case ["order", ok]:
                 ledger.ended(ledger.begins("mission", 1, ends_flight=False), DONE if ok == "True" else DENIED)
             case ["goto"]:
-                owner.ended("a goto was ordered", now)
+                goes_on = owner.ended("a goto was ordered", now)
+            case ["goto", "refused"]:
+                goes_on()
             case ["engaged", *anew]:
                 owner.engaged(now, anew=bool(anew))
             case ["lead", name]:

@@ -385,8 +385,6 @@ def test_a_takeoff_as_high_as_its_own_fence_is_not_refused_for_the_noise_of_its_
 @each(
     ("text", "todo"),
     [
-        ("Arm: LAND mode not armable", "skygcs-cli mode alpha GUIDED"),
-        ("Arm: Mode not armable", "skygcs-cli mode alpha GUIDED"),
         ("PreArm: Hardware safety switch", "safety switch"),
         ("PreArm: 3D Accel calibration needed", "calibrate"),
         ("PreArm: Compass not calibrated", "calibrate"),
@@ -401,6 +399,12 @@ def test_a_takeoff_as_high_as_its_own_fence_is_not_refused_for_the_noise_of_its_
 def test_a_lasting_reason_names_what_cures_it(text: str, todo: str) -> None:
     reported = todo_for(["AHRS: waiting for home", text], "alpha")
     assert reported is not None and todo in reported
+
+
+@each(("stop_mode", "mode"), [("BRAKE", "GUIDED"), ("LOITER", "GUIDED"), ("HOLD", "HOLD"), ("", "GUIDED")])
+def test_a_vehicle_is_to_arm_in_a_mode_of_its_class(stop_mode: str, mode: str) -> None:
+    for text in ("Arm: LAND mode not armable", "Arm: Mode not armable"):
+        assert todo_for([text], "alpha", stop_mode) == f"set another mode first: skygcs-cli mode alpha {mode}"
 
 
 @each(
@@ -424,7 +428,7 @@ def test_what_time_may_cure_is_waited_for(text: str) -> None:
 
 def test_every_advice_is_complete_for_any_name() -> None:
     for _, todo in LASTING_REASONS:
-        assert "{" not in todo.format(name="alpha")
+        assert "{" not in todo.format(name="alpha", arms_in="GUIDED")
 
 
 @each(
