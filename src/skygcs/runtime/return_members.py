@@ -17,6 +17,7 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.vehicle_class import HeightParam, ReturnEnd
 from skygcs.core.monitor.conflict_levels import COMING_HOME, LANDING, LANDING_ORDERS
 from skygcs.core.monitor.departures import (
+    AT_A_TURN,
     UNKNOWN,
     ReturnHeight,
     Returning,
@@ -25,7 +26,7 @@ from skygcs.core.monitor.departures import (
     return_height,
 )
 from skygcs.core.monitor.tracks import is_flying, why_unplaced
-from skygcs.core.monitor.ways import column, too_near
+from skygcs.core.monitor.ways import Way, beginning, column, leads_on, too_near
 from skygcs.core.vehicle.fence_params import CLEARANCE_M, NAMES, has_known_fence, known_ceiling_m
 from skygcs.core.vehicle.mission_orders import HOME_S, MISSION_RETURN_MODES, HomeWatch
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -128,6 +129,12 @@ class ReturnMembers:
         elsewhere = ledger.effective > number and ledger.effective_order in ELSEWHERE
         return now - at < TAKES_S and not elsewhere
 
+    def _lands(self, actor: VehicleActor, now: float) -> bool:
+        """True if it comes down where it is. One that was sent home since may be in its landing yet."""
+        number, ledger = self._left_at.get(actor.vehicle.key, (0.0, 0))[1], actor.runner.ledger
+        again = ledger.effective > number and ledger.effective_order in LANDING_ORDERS
+        return _comes(actor, LANDING if again or not self.has_left(actor, now) else frozenset())
+
     def is_under_way(self, actor: VehicleActor, now: float, *, leaves: bool = False) -> bool:
         """True if it comes home, or down, by whatever order or failsafe, or was ordered to in the last `TAKES_S`.
         ``leaves``: its order to return is being sent."""
@@ -202,11 +209,36 @@ class ReturnMembers:
             self._heights.get(vehicle.key, UNKNOWN) if height is UNKNOWN else height,
             max(0.0, now - at),
             self._goal_m(vehicle.key),
-            lands=_comes(actor, LANDING),
+            lands=self._lands(actor, now),
             ceiling_m=math.inf if ceiling_m is None else home_m[2] + ceiling_m - CLEARANCE_M,
         )
         self._seen[vehicle.key] = one, at
         return one
+
+    async def followed(self, holding: Sequence[VehicleActor]) -> dict[int, list[str]]:
+        """Which of these, that are to hold together, fly somewhere and are followed, by key: the names of those that
+        fly to where each would come to rest now, as those that were sent somewhere together do. One of them that is
+        followed flies on, and may follow another one. In turns with others."""
+        frame, now = self.frame, self._loop.time()
+        flying = (actor for actor in holding if self._monitor.ways.why_leaving(actor) is not None)
+        rests = [one.place() for actor in flying if (one := self.returning(actor, now)) is not None]
+        if frame is None or not rests:
+            return {}
+        ways = list[Way]()
+        for n, (way, _) in enumerate(self._monitor.ways.present_ways(frame, ())):
+            ways += [way] if leads_on(way) else []
+            if n % AT_A_TURN == AT_A_TURN - 1:
+                await asyncio.sleep(0)
+        come = dict[int, list[Way]]()
+        for rest in rests:
+            others = (way for way in ways if way.key != rest.key and too_near(rest, way))
+            come[rest.key] = [way for way in others if not too_near(rest, beginning(way))]
+            await asyncio.sleep(0)
+        found, held = dict[int, list[str]](), {actor.vehicle.key for actor in holding}
+        while more := [key for key in come.keys() - found.keys() if any(way.key not in held for way in come[key])]:
+            held.difference_update(more)
+            found |= {key: list(dict.fromkeys(way.name for way in come[key] if way.key not in held)) for key in more}
+        return found
 
     def below(self, actor: VehicleActor) -> list[str]:
         """Name those onto which it would come down where it is, in the air or on the ground."""

@@ -41,7 +41,7 @@ from enum import Enum, auto
 from functools import partial
 from typing import Literal
 
-from skygcs.core.monitor.conflict_levels import COMING_HOME
+from skygcs.core.monitor.conflict_levels import COMING_HOME, LANDING, RETURNING
 from skygcs.core.monitor.departures import (
     ASIDE_M,
     AT_A_TURN,
@@ -56,7 +56,7 @@ from skygcs.core.monitor.departures import (
     why_not_held,
 )
 from skygcs.core.monitor.tracks import is_flying
-from skygcs.core.monitor.ways import Way, beginning, leads_on, too_near
+from skygcs.core.monitor.ways import Way
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.orders import Where, goto
 from skygcs.events import Event
@@ -139,6 +139,9 @@ class Waiting:
         return "it flies on where it was sent" if self.step is Step.GOES_ON else "it holds"
 
 
+Begun = dict[VehicleActor, Waiting]
+
+
 class Returns:
     """Returns under way of one fleet: `begin`, `carry_out` and `run` with each order to return. ``vehicles``: all of
     the fleet, by key."""
@@ -160,17 +163,14 @@ class Returns:
         self._deciding = asyncio.Lock()
         self._running: asyncio.Task[None] | None = None
         self._progress = Progress()
-        self._given_up: dict[int, int] = {}
-        """By key, the last order that had an effect as it was given up: until another one it returns when it is ordered
-        to."""
+        self._given_up: dict[int, tuple[int, float]] = {}
+        """By key, the last order that had an effect as it was given up, and when the return was ordered."""
         self._fenced: tuple[str, ...] = ()
         """Names of those that would have to climb out of their own fences."""
         self._fault: str | None = None
         """The fault that was reported last."""
 
-    async def begin(
-        self, actors: Sequence[VehicleActor], serial: int, *, at_end: AtEnd = "hold"
-    ) -> dict[VehicleActor, Waiting]:
+    async def begin(self, actors: Sequence[VehicleActor], serial: int, *, at_end: AtEnd = "hold") -> Begun:
         """Decide which of these have to wait. Those that are returned are to be given to `carry_out` now, and to `run`
         afterwards; the others are to be ordered to return now. Orders to return are decided in the order in which they
         came, so that the last one counts. ``at_end``: what those do whose way does not become clear. After a fault here
@@ -183,7 +183,7 @@ class Returns:
             self._report_fault("who waits for whom: each returns at once, by itself; it", error)
             return {}
 
-    async def _begin(self, actors: Sequence[VehicleActor], serial: int, at_end: AtEnd) -> dict[VehicleActor, Waiting]:
+    async def _begin(self, actors: Sequence[VehicleActor], serial: int, at_end: AtEnd) -> Begun:
         now = self._loop.time()
         known = [actor for actor in actors if is_placed(actor.vehicle, now)]
         if not known:
@@ -195,21 +195,17 @@ class Returns:
         # a repeated order keeps those that have already left as members
         if not self._waiting:
             self._members.begin_round(frame_at(known[0].vehicle))
-            self._given_up = {key: order for key, order in self._given_up.items() if key in self._vehicles}
+            self._given_up = {key: one for key, one in self._given_up.items() if key in self._vehicles}
         self._members.add(known)
-        # who goes home already, or by its own failsafe, is not held
+        begun = await self._change_ways(known, serial, at_end)
         free = [actor for actor in known if why_not_held(actor.vehicle) is None and not self._leaves(actor)]
-        for actor in known:
-            if actor not in free:
-                self._members.leaves_now(actor)
         decided = await self._decide(free, alone=alone is not None)
         if alone is not None and alone.vehicle.key in decided.leave:
             self._join(alone)
             return {}
         # those of an older order to return go on as before if this one fails
-        begun: dict[VehicleActor, Waiting] = {}
         holding = [actor for actor in free if actor.vehicle.key in decided.waits_for]
-        followed = await self._followed(holding)
+        followed = await self._members.followed(holding)
         for actor in free:
             key = actor.vehicle.key
             if key not in decided.leave and key not in decided.waits_for:
@@ -229,6 +225,27 @@ class Returns:
                 self._members.leaves_now(actor)
             self._waiting[key] = begun[actor] = waits
         return begun
+
+    async def _change_ways(self, known: Sequence[VehicleActor], serial: int, at_end: AtEnd) -> Begun:
+        """Those that must not be held, as they come down, or in a failsafe: each leaves now, or goes on as it does, and
+        is returned. The next one is decided with the way of the last one. What flies home by such an order is on its
+        way; so is what is in a failsafe if nobody is there to insist."""
+        going_on: Begun = {}
+        for actor in known:
+            key, mode = actor.vehicle.key, actor.vehicle.mode
+            if why_not_held(actor.vehicle) is None and not self._leaves(actor):
+                continue
+            leaves = self._leaves(actor) or mode in RETURNING or (at_end == "land" and mode not in LANDING)
+            decided = Departures() if leaves else await self._decide((actor,), alone=True)
+            if (names := decided.waits_for.get(key)) is None:
+                self._members.leaves_now(actor)
+                continue
+            over = f"it goes on in {mode}, as its way home is not clear of {enumerated(names)}, and does not return; "
+            over += f"ordered again (skygcs-cli rtl {actor.name}), it returns at once"
+            going_on[actor] = Waiting(actor, serial, self._loop.time(), at_end, names, Step.HOLDS, over=over)
+            self._note_given_up(going_on[actor])
+            self._report(actor, over, given_up=True)
+        return going_on
 
     async def carry_out(self, waits: Waiting) -> Outcome:
         """The order to return of one of those of `begin`: it leaves, or holds until its way is clear. One that cannot
@@ -255,7 +272,14 @@ class Returns:
         """True if this one was ordered to return, and waits, or was given up: it is ordered again, alone."""
         key, now = actor.vehicle.key, self._loop.time()
         again = self.waits(key) and now - self._waiting[key].asked_at >= SAME_S
-        return again or self._given_up.get(key) == actor.runner.ledger.effective
+        order, at = self._given_up.get(key, (None, now))
+        return again or (order == actor.runner.ledger.effective and now - at >= SAME_S)
+
+    def _note_given_up(self, waits: Waiting) -> None:
+        """It does not return by this order; it does by the next one, unless another order has an effect before."""
+        key, order = waits.actor.vehicle.key, waits.actor.runner.ledger.effective
+        if self._given_up.get(key, (None,))[0] != order:
+            self._given_up[key] = order, waits.asked_at
 
     def _join(self, actor: VehicleActor) -> None:
         """A single vehicle is sent home: those that wait, or are to, keep clear of its way, too."""
@@ -321,31 +345,6 @@ class Returns:
         self._members.leaves_now(actor)
         return await self._return_now(waits)
 
-    async def _followed(self, holding: Sequence[VehicleActor]) -> dict[int, list[str]]:
-        """Which of these, that are to hold together, fly somewhere and are followed, by key: the names of those that
-        fly to where each would come to rest now, as those that were sent somewhere together do. One of them that is
-        followed flies on, and may follow another one. In turns with others."""
-        frame, now = self._members.frame, self._loop.time()
-        flying = (actor for actor in holding if self._monitor.ways.why_leaving(actor) is not None)
-        rests = [one.place() for actor in flying if (one := self._members.returning(actor, now)) is not None]
-        if frame is None or not rests:
-            return {}
-        ways = list[Way]()
-        for n, (way, _) in enumerate(self._monitor.ways.present_ways(frame, ())):
-            ways += [way] if leads_on(way) else []
-            if n % AT_A_TURN == AT_A_TURN - 1:
-                await asyncio.sleep(0)
-        come = dict[int, list[Way]]()
-        for rest in rests:
-            others = (way for way in ways if way.key != rest.key and too_near(rest, way))
-            come[rest.key] = [way for way in others if not too_near(rest, beginning(way))]
-            await asyncio.sleep(0)
-        found, held = dict[int, list[str]](), {actor.vehicle.key for actor in holding}
-        while more := [key for key in come.keys() - found.keys() if any(way.key not in held for way in come[key])]:
-            held.difference_update(more)
-            found |= {key: list(dict.fromkeys(way.name for way in come[key] if way.key not in held)) for key in more}
-        return found
-
     def _go_on(self, waits: Waiting) -> Outcome:
         """It flies on where it was sent, and holds later (`_hold_those_that_may`)."""
         actor = waits.actor
@@ -365,7 +364,7 @@ class Returns:
         now = self._loop.time()
         going = [waits for waits in self._waiting.values() if waits.step is Step.GOES_ON and waits.begun]
         going = [waits for waits in going if self._is_ours(waits)]
-        followed = await self._followed([waits.actor for waits in going])
+        followed = await self._members.followed([waits.actor for waits in going])
         for waits in going:
             late = now - waits.asked_at > GOES_ON_S
             if (late or waits.actor.vehicle.key not in followed) and self._is_current(waits):
@@ -520,7 +519,8 @@ class Returns:
     async def _decide_by_ways(self, free: Sequence[VehicleActor], *, alone: bool) -> Departures:
         now = self._loop.time()
         self._members.add_those_that_come_home(self._vehicles, now)
-        waiting = [one for actor in free if (one := self._members.returning(actor, now)) is not None]
+        ordered = (self._members.returning(actor, now) for actor in free)
+        waiting = [replace(one, lands=False) for one in ordered if one is not None]
         under_way: list[Returning] = []
         fixed: list[Way] = []
         going = {key for key, waits in self._waiting.items() if waits.step is Step.GOES_ON}
@@ -666,7 +666,7 @@ class Returns:
                 continue
             text = self._why_given_up(names) if heard else "it is not heard"
             self._drop(waits, None)
-            self._given_up[actor.vehicle.key] = actor.runner.ledger.effective
+            self._note_given_up(waits)
             below = self._members.below(actor)
             if waits.at_end == "land" and not below:
                 self._report(actor, f"{text}: it lands where it is", given_up=True)

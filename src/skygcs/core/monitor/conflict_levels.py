@@ -54,7 +54,10 @@ pilot, or comes down or home, which nobody may stop."""
 LANDING = frozenset({"AUTO.LAND", "AUTO.PRECLAND", "LAND", "TERMINATION"})
 """Modes in which it comes down where it is."""
 
-COMING_HOME = LANDING | {"AUTO.RTL", "AUTO.RTGS", "RTL", "SMART_RTL", "AUTO_RTL"}
+RETURNING = frozenset({"AUTO.RTL", "RTL"})
+"""Modes of an order to return: in them it changes nothing. In the other ones of `COMING_HOME` it changes the way."""
+
+COMING_HOME = LANDING | RETURNING | {"AUTO.RTGS", "SMART_RTL", "AUTO_RTL"}
 
 LANDING_ORDERS = frozenset({"land", "stop"})
 """Orders that may bring it down where it is, from the moment they are sent."""
