@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, isnan, nan, sin
+from math import cos, hypot, isnan, nan, sin
 
 import pytest
 from pymavlink import mavutil
@@ -313,3 +313,19 @@ def test_odometry_agrees_with_the_other_messages(pilot: Pilot) -> None:
     assert (reported.x, reported.y, reported.z) == pytest.approx((local.x, local.y, local.z), abs=0.5)
     forward, right = 2 * cos(1.0) + 1 * sin(1.0), -2 * sin(1.0) + 1 * cos(1.0)
     assert (reported.vx, reported.vy) == pytest.approx((forward, right), abs=0.3)
+
+
+def test_return_climbs_flies_home_and_lands_there(pilot: Pilot) -> None:
+    pilot.hovering(8)
+    lat, lon = pilot.vehicles[0].where.to_geodetic(40.0, 0.0)
+    pilot.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, lat, lon, nan)
+    pilot.run(25)
+    assert pilot.command(mav.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
+    highest = 0.0
+    for _ in range(120):
+        pilot.run(1)
+        highest = max(highest, pilot.vehicles[0].motion.up_m)
+    assert highest == pytest.approx(30, abs=0.5)
+    motion = pilot.vehicles[0].motion
+    assert motion.on_ground and hypot(motion.east_m, motion.north_m) < 0.5
+    assert not pilot.vehicles[0].armed
