@@ -99,8 +99,12 @@ ROOMS: dict[str, dict[str, tuple[str, ...]]] = {
         "runtime/onboard_orders.py": ("runtime/test_mission_transfers.py",),
     },
     "monitor": {
-        "core/monitor/monitor.py": ("core/monitor/test_monitor.py",),
-        "core/monitor/conflict_levels.py": ("core/monitor/test_monitor.py", "core/monitor/test_approach.py"),
+        "core/monitor/monitor.py": ("core/monitor/test_monitor.py", "core/monitor/test_conflict_levels.py"),
+        "core/monitor/conflict_levels.py": (
+            "core/monitor/test_conflict_levels.py",
+            "core/monitor/test_monitor.py",
+            "core/monitor/test_approach.py",
+        ),
         "core/monitor/approach.py": ("core/monitor/test_approach.py", "core/monitor/test_monitor.py"),
         "core/monitor/tracks.py": ("core/monitor/test_monitor.py",),
         "core/monitor/mission_ways.py": ("core/monitor/test_mission_ways.py",),

@@ -17,9 +17,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulated-firmware.md
 INTRODUCTION = """# What the simulated firmwares do
 
 Values that the simulated vehicles take from a firmware: PX4 1.16.1 / ArduCopter 4.6.3, or below
-each other; "-" for none. A value in brackets is what the simulator does instead.
+each other; one value if both have it; "-" for none. A value in brackets is what the simulator does instead.
 `skygcs.sim.behaviours`, of which this page is made, names the place in the firmware's source, and what was measured.
-`tests/unit/sim/test_behaviours.py` flies the simulator against this table, `make test-firmware` real firmware.
+`tests/unit/sim/test_behaviours.py` flies the simulator against this list, `make test-firmware` real firmware.
 
 """
 
@@ -31,7 +31,7 @@ BY_THE_MODULE_ALONE = {
     *("modes", "answers", "climb_accel", "brake", "crash", "control_gains", "home_follows"),
     *("times", "circle_rms_m", "attitude_targets"),
 }
-"""Fields whose numbers say nothing without their docstrings, or are on another page; modes have tables of their own."""
+"""Fields whose numbers say nothing without their docstrings, or are on another page; modes have lists of their own."""
 
 
 def words(value: Any) -> str:
@@ -42,6 +42,8 @@ def words(value: Any) -> str:
         for number, reaction in value.by_value.items():
             numbers.setdefault(reaction.value, []).append(str(number))
         parts = [f"{','.join(same)} {reaction}" for reaction, same in numbers.items()]
+        if not parts:
+            return f"{value.param}, any value: {value.otherwise.value}"
         return f"{value.param} = " + "; ".join([*parts, f"else {value.otherwise.value}"])
     if isinstance(value, MissionRules):
         kept = f"{value.missions} items, {value.fence} corners, {value.rally} rally points"
@@ -74,7 +76,7 @@ def modes(of: Fact[dict[int, ModeRule]], names: type[CopterMode] | type[Px4Mode]
     alike: dict[str, list[str]] = {}
     for number, rule in of.value.items():
         needs = [name for name, needed in (("position", rule.position), ("sticks", rule.sticks)) if needed]
-        kind = ["may be armed" if rule.arms else "not armed", *(f"needs {name}" for name in needs)]
+        kind = ["arms" if rule.arms else "does not arm", *(f"needs {name}" for name in needs)]
         kind += [] if rule.by_command else ["not entered by DO_SET_MODE"]
         alike.setdefault(", ".join(kind), []).append(names(number).name)
     return [f"- {', '.join(found)}: {kind}" for kind, found in alike.items()]

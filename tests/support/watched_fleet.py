@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.monitor.monitor import HoldRequest, Monitor
 from skygcs.core.monitor.tracks import Member
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from support.vehicles import flight_dialect
 
@@ -95,3 +98,58 @@ class VehicleOfFleet(WatchedVehicle):
 
     def hear(self, frame: Frame, now: float) -> None:
         self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "air", now)
+
+
+STEP_S = 0.25
+Where = Callable[[float], tuple[Sequence[float], Sequence[float]]]
+"""Position and velocity by time; a vehicle that is silent gives none."""
+
+
+class Watched:
+    """A monitor and its fleet, in steps of `STEP_S`."""
+
+    def __init__(self, *fleet: WatchedVehicle, acting: bool = False) -> None:
+        self.fleet = list(fleet)
+        self.monitor = Monitor(acting=acting)
+        self.now = 1000.0
+        self.begun = self.now
+        self.events: list[tuple[float, Event]] = []
+        self.holds: list[tuple[float, HoldRequest]] = []
+        self.modes: dict[int, int] = {}
+        self.armed: dict[int, bool] = {}
+        self.status: dict[int, int] = {}
+
+    def run(self, seconds: float, *motions: Where | None) -> None:
+        """Each vehicle moves so; None: it is silent."""
+        for _ in range(round(seconds / STEP_S)):
+            for vehicle, motion in itertools.zip_longest(self.fleet, motions):
+                if motion is not None:
+                    sysid = vehicle.vehicle.sysid
+                    armed = self.armed.get(sysid, True)
+                    status = self.status.get(sysid, ACTIVE if armed else STANDBY)
+                    vehicle.heartbeat(self.now, armed=armed, mode=self.modes.get(sysid, GUIDED), status=status)
+                    vehicle.position(self.now, *motion(self.now - self.begun))
+                vehicle.vehicle.tick(self.now)
+            self.look()
+            self.now += STEP_S
+
+    def look(self) -> None:
+        for _ in self.monitor.evaluate([v.member for v in self.fleet], self.now):
+            pass
+        self.events += [(self.now - self.begun, event) for event in self.monitor.events]
+        self.holds += [(self.now - self.begun, hold) for hold in self.monitor.holds]
+        self.monitor.events, self.monitor.holds = [], []
+
+    def levels(self) -> list[str]:
+        return [event.data["level"] for _, event in self.events if "level" in event.data]
+
+    def first(self, level: str) -> float:
+        return next(at for at, event in self.events if event.data.get("level") == level)
+
+
+def standing(*place: float) -> Where:
+    return lambda at: (place, (0.0, 0.0, 0.0))
+
+
+def flying(place: Sequence[float], velocity: Sequence[float]) -> Where:
+    return lambda at: ([p + v * at for p, v in zip(place, velocity, strict=True)], velocity)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import pytest
 
 from skygcs.core.geo import EnuFrame, ecef
 from skygcs.core.monitor.conflict_levels import CLEAR_S, Level, Pair
-from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, NEAR_LOST_M, REHOLD_S, HoldRequest, Monitor
+from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, NEAR_LOST_M, REHOLD_S, Monitor
 from skygcs.core.monitor.tracks import TRACK_SILENT_S, is_flying
-from skygcs.events import Event
 from support.examples import seeds
 from support.table import each
 from support.watched_fleet import (
@@ -27,63 +25,13 @@ from support.watched_fleet import (
     ORIGIN,
     RTL,
     STANDBY,
+    STEP_S,
+    Watched,
     WatchedVehicle,
+    Where,
+    flying,
+    standing,
 )
-
-STEP_S = 0.25
-Where = Callable[[float], tuple[Sequence[float], Sequence[float]]]
-"""Position and velocity by time; a vehicle that is silent gives none."""
-
-
-class Watched:
-    """A monitor and its fleet, in steps of `STEP_S`."""
-
-    def __init__(self, *fleet: WatchedVehicle, acting: bool = False) -> None:
-        self.fleet = list(fleet)
-        self.monitor = Monitor(acting=acting)
-        self.now = 1000.0
-        self.begun = self.now
-        self.events: list[tuple[float, Event]] = []
-        self.holds: list[tuple[float, HoldRequest]] = []
-        self.modes: dict[int, int] = {}
-        self.armed: dict[int, bool] = {}
-        self.status: dict[int, int] = {}
-
-    def run(self, seconds: float, *motions: Where | None) -> None:
-        """Each vehicle moves so; None: it is silent."""
-        for _ in range(round(seconds / STEP_S)):
-            for vehicle, motion in itertools.zip_longest(self.fleet, motions):
-                if motion is not None:
-                    sysid = vehicle.vehicle.sysid
-                    armed = self.armed.get(sysid, True)
-                    status = self.status.get(sysid, ACTIVE if armed else STANDBY)
-                    vehicle.heartbeat(self.now, armed=armed, mode=self.modes.get(sysid, GUIDED), status=status)
-                    vehicle.position(self.now, *motion(self.now - self.begun))
-                vehicle.vehicle.tick(self.now)
-            self.look()
-            self.now += STEP_S
-
-    def look(self) -> None:
-        for _ in self.monitor.evaluate([v.member for v in self.fleet], self.now):
-            pass
-        self.events += [(self.now - self.begun, event) for event in self.monitor.events]
-        self.holds += [(self.now - self.begun, hold) for hold in self.monitor.holds]
-        self.monitor.events, self.monitor.holds = [], []
-
-    def levels(self) -> list[str]:
-        return [event.data["level"] for _, event in self.events if "level" in event.data]
-
-    def first(self, level: str) -> float:
-        return next(at for at, event in self.events if event.data.get("level") == level)
-
-
-def standing(*place: float) -> Where:
-    return lambda at: (place, (0.0, 0.0, 0.0))
-
-
-def flying(place: Sequence[float], velocity: Sequence[float]) -> Where:
-    return lambda at: ([p + v * at for p, v in zip(place, velocity, strict=True)], velocity)
-
 
 # --- levels -----------------------------------------------------------------------------------------------------------
 
@@ -505,6 +453,7 @@ def test_a_pair_that_gives_way_to_more_urgent_ones_is_not_called_clear() -> None
     fleet.run(1.0, standing(0.0, 0.0, 20.0), standing(2.2, 0.0, 20.0), *among)
     about = [event.text for _, event in fleet.events if event.data["vehicles"] == ["v1", "v2"]]
     assert about == ["v1 and v2 are in conflict still, each of them more urgently with 8 others"]
+    assert (1 << 8 | 1, 2 << 8 | 1) not in fleet.monitor.pairs
     fleet.events.clear()
     fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(2.2, 0.0, 20.0), *among)
     assert not [event for _, event in fleet.events if "clear" in event.text]

@@ -126,15 +126,15 @@ def test_what_it_says_to_opening_is_told(error: int, result: str, words: str) ->
     assert opcodes(wire).count(Op.OPEN_FILE_RO) == (MAX_SESSIONS if result == "busy" else 1)
 
 
-@each(("size", "session", "at_s", "sessions"), [(1000, 7, 4.0, {255, 0}), (9000, None, 1.0, {255, 0})])
+@each(("size", "session", "at_s"), [(1000, 7, 4.0), (9000, None, 1.0)])
 def test_it_waits_for_another_ground_stations_session_and_opens_one_that_was_lost_again(
-    size: int, session: int | None, at_s: float, sessions: set[int]
+    size: int, session: int | None, at_s: float
 ) -> None:
     server = FtpServer(content(size), session=session)
     wire = FtpWire(server, Network(delay_s=(0.1, 0.1)))
     wire.at(at_s, lambda: setattr(server, "session", None))
     assert wire.run(download()).data == server.content
-    assert session is not None or {p.session for _, p in wire.sent} == sessions
+    assert session is not None or {p.session for _, p in wire.sent} == {255, 0}, "under another number"
 
 
 def test_one_that_is_always_lost_is_given_up() -> None:

@@ -278,15 +278,19 @@ def server_context(authority: Authority, address: str) -> ssl.SSLContext:
     return context
 
 
-@pytest.mark.parametrize("wrong", ["name", "authority", "system"])
-async def test_a_certificate_that_is_not_the_casters_is_refused(
-    tmp_path: Path, authority: Authority, wrong: str
+@pytest.mark.parametrize("wrong", [None, "name", "authority", "system"])
+async def test_only_a_certificate_of_the_caster_is_accepted(
+    tmp_path: Path, authority: Authority, wrong: str | None
 ) -> None:
     trusted = Authority(tmp_path, "other").file if wrong == "authority" else authority.file
     tls = server_context(authority, "127.0.0.2" if wrong == "name" else "127.0.0.1")
     ca_file = None if wrong == "system" else trusted
-    async with at_work(streams(EPOCHS), tls=tls, scheme="ntrips", ca_file=ca_file) as (bench, caster):
-        await asyncio.sleep(1.0)
+    conduct = streams(EPOCHS[:5], revision=2, then_s=5.0)
+    async with at_work(conduct, tls=tls, scheme="ntrips", ca_file=ca_file) as (bench, caster):
+        await asyncio.sleep(1.0 if wrong else 7.0)
+        if wrong is None:
+            assert bytes(bench.sent) == b"".join(EPOCHS[:5])
+            return
         assert bench.status["state"] == "down" and "certificate is not accepted" in bench.status["text"]
         assert all(client.request == b"" for client in caster.clients)  # the password was not sent
 

@@ -156,6 +156,12 @@ def test_positions_are_in_the_own_frame() -> None:
     assert alpha(heard(), 100.0)["position"]["enu_m"] is None
 
 
+def test_a_vehicle_that_is_no_longer_sent_is_gone() -> None:
+    sites = heard()
+    sites.take(batch(2, 100.1, row("bravo")), 100.1)
+    assert sites.state("south", "alpha", 100.1, None) is None
+
+
 def test_sites_are_bounded_and_the_one_that_was_silent_for_an_hour_makes_room() -> None:
     sites = RemoteSites("north", "mine")
     for i in range(remote_sites.MAX_SITES):
