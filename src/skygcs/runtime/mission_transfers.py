@@ -506,6 +506,9 @@ class Missions:
         if not self._progress.on_reached(number):
             return
         self._note_end()
+        self._publish_reached(number)
+
+    def _publish_reached(self, number: int) -> None:
         count = self.count(MissionType.MISSION)
         of = f" of {count}" if count else ""
         self._publish("mission", f"reached item {number}{of}", {"reached": number, "count": count})
@@ -519,6 +522,9 @@ class Missions:
         def goes_on() -> None:
             if self._progress is begun:
                 self._progress, self._current = before, b""
+                if (number := before.go_on_after(begun)) is not None:
+                    self._publish_reached(number)
+                self._note_end()
 
         return goes_on
 

@@ -598,22 +598,32 @@ async def test_a_run_that_has_ended_stays_so_whoever_changes_the_mission_then() 
         assert not actor.missions.complete, "of which item is the last nothing is known"
 
 
-@pytest.mark.parametrize("how", ["refused here", "denied"])
+@pytest.mark.parametrize("how", ["refused here", "denied", "denied after its last item"])
 async def test_an_order_that_is_refused_leaves_the_run_that_is_flown_as_it_is(how: str) -> None:
-    """Nothing that it reached afterwards counted: those that were to start after it waited for two hours."""
-    async with Site() as (_, storing, actor):
+    """Nothing that it reached meanwhile or afterwards counted: those that were to start next waited for two hours."""
+    async with Site() as (ground, storing, actor):
         await onboard_orders.upload_plan(actor, plan=MissionPlan(PLAN.mission[:2]), kinds=(MISSION,))
         for seq in (0, 1):
             storing.current(seq)
             await asyncio.sleep(0.1)
-        if how == "denied":
-            storing.vehicle.script = lambda vehicle, sent: vehicle.reply(sent, 2)
-        else:
+        reached = mav.MAVLink_mission_item_reached_message(1)
+
+        def denies(vehicle: ScriptedVehicle, sent: Sent) -> None:
+            if how == "denied after its last item":
+                vehicle.tell(vehicle.say(reached))
+            vehicle.reply(sent, 2, after_s=0.1)
+
+        if how == "refused here":
             actor.authority_refusal = lambda: "another site commands it"
+        else:
+            storing.vehicle.script = denies
         assert not (await onboard_orders.set_mission_item(actor, item=1)).ok
         storing.current(1)
-        await _hears(storing, mav.MAVLink_mission_item_reached_message(1))
+        if how != "denied after its last item":
+            await _hears(storing, reached)
+        await asyncio.sleep(0.2)
         assert actor.missions.furthest == 2 and actor.missions.complete
+        assert [e.text for e in ground.events if "reached" in e.text] == ["reached item 2 of 2"]
 
 
 async def test_what_another_station_changes_meanwhile_is_not_what_was_read() -> None:

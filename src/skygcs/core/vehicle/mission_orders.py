@@ -380,6 +380,8 @@ class Progress:
     reached: int | None = None
     furthest: int = 0
     """The highest item that was current."""
+    reached_before: int | None = None
+    """The last item that was reported as reached before the run's first item was current."""
 
     def on_current(self, item: int) -> None:
         if self.first is not None and item != self.first:
@@ -389,10 +391,23 @@ class Progress:
 
     def on_reached(self, item: int) -> bool:
         """False: it belongs to the run before, or is known."""
-        if self.first is not None or item == self.reached:
+        if self.first is not None:
+            self.reached_before = item
+            return False
+        if item == self.reached:
             return False
         self.reached = item
         return True
+
+    def go_on_after(self, refused: Progress) -> int | None:
+        """Take what was reported to the run that was to follow and was refused; an ArduPilot reports it once. Returns
+        an item that was reached and not reported yet; None: there is none."""
+        self.furthest = max(self.furthest, refused.furthest)
+        if refused.reached is not None:
+            self.on_reached(refused.reached)
+            return None
+        item = refused.reached_before
+        return item if item is not None and self.on_reached(item) else None
 
     def complete(self, last: int | None) -> bool:
         """True if item ``last`` was current and then reached in this run."""
