@@ -52,8 +52,14 @@ async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insi
         await gcs.done("vehicles.hold", targets="all")
         # what ends a flight is never refused, and force insists
         await gcs.done("vehicles.goto", targets="v3", enu_m=list(at), force=True)
-        for order in ("hold", "land", "rtl"):
+        for order in ("hold", "land"):
             await gcs.done(f"vehicles.{order}", targets="all")
+        # of two that land side by side none returns across the other one, until it is ordered to again
+        outcomes = (await gcs("vehicles.rtl", targets="all"))["outcomes"]
+        assert {name: outcome["ok"] for name, outcome in outcomes.items()} == {"v1": True, "v2": False, "v3": False}
+        assert "not clear of v3" in outcomes["v2"]["message"] and "not clear of v2" in outcomes["v3"]["message"]
+        await asyncio.sleep(1.0)
+        await gcs.done("vehicles.rtl", targets="v2")
         status = await gcs("monitor.status")
         assert status["counters"]["orders_refused"] == 4
 
