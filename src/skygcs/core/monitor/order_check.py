@@ -85,6 +85,10 @@ AHEAD_S = 3.0
 NEARER_M = 0.2
 """Two that are within their margin already may be sent anywhere that is not nearer by more than this."""
 
+NEARER_BY_SETPOINT_M = 0.001
+"""The same for one setpoint of a stream, beside what is in the air: each is checked from where the last one has led, so
+with 0.2 m for each a stream at 10 Hz led from 2.3 to 1.7 m (random flight 2010)."""
+
 FRESH_S = 1.0
 """The ball of a vehicle grows from this age on: an order must not depend on when the last position came."""
 
@@ -139,6 +143,8 @@ class _Path(NamedTuple):
     """How long after it others are looked at that fly straight on."""
     strict: bool
     """True if vehicles count that stand within the margin already."""
+    nearer_m: float = NEARER_M
+    """By how much it may come nearer to what is in the air, and within the margin already."""
 
     @property
     def length_m(self) -> float:
@@ -190,7 +196,7 @@ def setpoint_conflict(
         path = _Path((Piece(AHEAD_S, velocity_mps),), AHEAD_S, 0.0, False)
     else:
         path = _straight(frame.from_geodetic(*to), GOTO_MPS, 0.0)
-    return _conflict(mover, frame, [path], others, now)
+    return _conflict(mover, frame, [path._replace(nearer_m=NEARER_BY_SETPOINT_M)], others, now)
 
 
 def meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, float, float]]:
@@ -317,7 +323,8 @@ def _conflict(mover: Mover, frame: EnuFrame, paths: Sequence[_Path], others: Ite
             near = closest_on_paths(scaled(offset, ratio), mine, theirs, radius_m, horizon_s)
             if math.isinf(near.enters_s):
                 continue
-            if not path.strict and now_m < radius_m and near.separation_m > now_m - NEARER_M:
+            nearer_m = NEARER_M if track.parked else path.nearer_m
+            if not path.strict and now_m < radius_m and near.separation_m > now_m - nearer_m:
                 continue
             if worst is None or near.separation_m < worst[0]:
                 worst = (near.separation_m, _text(mover, other, near.separation_m, radius_m, silence_s))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 import random
@@ -394,6 +395,8 @@ def test_a_take_off_is_compared_with_each_other(height_m: float, there: Other, f
         (None, (2.0, 0.0, 0.0), other(8.4, 0.0, 0.0), True),  # 3 s of it
         (None, (2.0, 0.0, 0.0), other(8.6, 0.0, 0.0), False),
         (None, (-2.0, 0.0, 0.0), other(2.0, 0.0, 0.0), False),  # too near already, and away from it
+        ((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), other(2.0, 0.0, 0.0), True),
+        ((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), other(2.0, 0.0, 0.0, parked=True), False),  # a gust beside its neighbour
         (None, (0.0, 0.0, 0.0), other(5.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), True),
         (None, (0.0, 0.0, 0.0), other(6.0, 0.0, 0.0, vel=(-1.0, 0.0, 0.0)), False),
         (None, (1.3, 0.0, 0.0), other(4.5, 4.0, 0.0, vel=(0.0, -8.0, 0.0)), False),  # it is past in time
@@ -403,6 +406,22 @@ def test_a_take_off_is_compared_with_each_other(height_m: float, there: Other, f
 def test_a_setpoint_is_compared_with_each_other(to: Vector | None, velocity: Vector, there: Other, found: bool) -> None:
     place = None if to is None else at(*to)
     assert (setpoint_conflict(mover(), place, velocity, [there], NOW) is not None) is found
+
+
+@each("aside_deg", [60.0, 70.0, 80.0])
+def test_a_stream_of_velocities_leads_no_nearer_however_it_turns(aside_deg: float) -> None:
+    """Each of them leads that far past the other vehicle, and is followed for 0.1 s unless it is refused."""
+    away = 2.3 + 0j
+    for _ in range(100):
+        velocity = cmath.rect(1.3, cmath.phase(away) + math.radians(aside_deg))
+        if (
+            setpoint_conflict(
+                mover(), None, (velocity.real, velocity.imag, 0.0), [other(away.real, away.imag, 0.0)], NOW
+            )
+            is None
+        ):
+            away -= 0.1 * velocity
+    assert abs(away) > 2.2
 
 
 def flown(points: list[Vector], speed_mps: float) -> list[tuple[float, Vector]]:
