@@ -19,6 +19,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, ecef
@@ -99,13 +100,22 @@ class MissionSpace:
 
     def way(self, here: Place) -> Way:
         """Its way from here on; the second leg leads to the next place."""
-        begin = self.of.frame.from_geodetic(*here)
+        return self._way_from(self.of.frame.from_geodetic(*here))
+
+    @cached_property
+    def _behind(self) -> MissionSpace:
+        """The mission from the item after the next one on."""
+        run = self.of.run
+        return MissionSpace(self.of._replace(run=run._replace(first=run.first + 1)))
+
+    def _way_from(self, begin: Vector) -> Way:
         if self._next is None or self._rest is None:
             return self._way(begin, self.of.run)
         legs = list(along([begin]))
         ends = _fly(legs, self._next, begin, self._base, self.of.home, self.of.frame)
         if len(ends) > 1 or ends != self._ends:  # those of a take-off depend on where the vehicle is
-            return self._way(begin, self.of.run)
+            ways = [self._behind._way_from(end) for end in ends]
+            return reduce(joined, ways, replace(ways[0], legs=tuple(legs)))
         return joined(replace(self._rest, legs=tuple(legs)), self._rest)
 
 
