@@ -2,7 +2,8 @@
 
     item                        leg
     -------------------------   ---------------------------------------------------------------------------------------
-    NAV_TAKEOFF                 straight up where the vehicle is, then level to its place if it has one
+    NAV_TAKEOFF                 straight up where the vehicle is, then level to its place if it has one, and on from
+                                there, or at once; one that is higher already does not sink
     an item with a place        from the place before to it; a loiter is as wide as its radius
     NAV_RETURN_TO_LAUNCH        as `core.monitor.departures` has it: up to the return height, level to home, and down; a
                                 plane to and at that height, on its circle; a rover level and no further
@@ -14,9 +15,11 @@ Heights above terrain are taken as above home.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 from skygcs.core.geo import EnuFrame, ecef
@@ -84,9 +87,10 @@ class MissionSpace:
         self._next = None if item is None or lands or item.command not in FLOWN_PLACE else item
         self._base = of.frame.from_geodetic(*of.home)
         self._rest: Way | None = None
-        if self._next is not None:  # whose place does not depend on where the vehicle is
-            end = _fly([], self._next, self._base, self._base, of.home, of.frame)
-            self._rest = self._way(end, of.run._replace(first=first + 1), _radius_m(self._next))
+        self._ends: tuple[Vector, ...] = ()
+        if self._next is not None:
+            self._ends = _fly([], self._next, self._base, self._base, of.home, of.frame)
+            self._rest = self._way(self._ends[0], of.run._replace(first=first + 1), _radius_m(self._next))
 
     def _way(self, begin: Vector, run: MissionRun, least_m: float = 0.0) -> Way:
         legs, widest_m = _legs(run, begin, self._base, self.of.home, self.of.frame)
@@ -96,11 +100,22 @@ class MissionSpace:
 
     def way(self, here: Place) -> Way:
         """Its way from here on; the second leg leads to the next place."""
-        begin = self.of.frame.from_geodetic(*here)
+        return self._way_from(self.of.frame.from_geodetic(*here))
+
+    @cached_property
+    def _behind(self) -> MissionSpace:
+        """The mission from the item after the next one on."""
+        run = self.of.run
+        return MissionSpace(self.of._replace(run=run._replace(first=run.first + 1)))
+
+    def _way_from(self, begin: Vector) -> Way:
         if self._next is None or self._rest is None:
             return self._way(begin, self.of.run)
         legs = list(along([begin]))
-        _fly(legs, self._next, begin, self._base, self.of.home, self.of.frame)
+        ends = _fly(legs, self._next, begin, self._base, self.of.home, self.of.frame)
+        if len(ends) > 1 or ends != self._ends:  # those of a take-off depend on where the vehicle is
+            ways = [self._behind._way_from(end) for end in ends]
+            return reduce(joined, ways, replace(ways[0], legs=tuple(legs)))
         return joined(replace(self._rest, legs=tuple(legs)), self._rest)
 
 
@@ -117,15 +132,15 @@ def _legs(run: MissionRun, begin: Vector, base: Vector, home: Place, frame: EnuF
         if not 0 <= index < len(items):
             continue
         if items[index].command == mav_cmd.NAV_RETURN_TO_LAUNCH:
-            after = _return(legs, run, at, base)
+            ends: tuple[Vector, ...] = (_return(legs, run, at, base),)
         else:
-            after = _fly(legs, items[index], at, base, home, frame)
+            ends = _fly(legs, items[index], at, base, home, frame)
         widest_m = max(widest_m, _radius_m(items[index]))
         target = targets.get(index)
-        for following in (index + 1, *(() if target is None else (target,))):
-            if (following, after) not in visited:
-                visited.add((following, after))
-                to_visit.append((following, after))
+        for goes_on in itertools.product((index + 1, *(() if target is None else (target,))), ends):
+            if goes_on not in visited:
+                visited.add(goes_on)
+                to_visit.append(goes_on)
     return legs, widest_m
 
 
@@ -202,22 +217,29 @@ def _return(legs: list[Leg], run: MissionRun, at: Vector, base: Vector) -> Vecto
     return (base[0], base[1], low_m)
 
 
-def _fly(legs: list[Leg], item: MissionItem, at: Vector, base: Vector, home: Place, frame: EnuFrame) -> Vector:
-    """Add the legs of one item that is flown from a place; returns where it ends."""
+def _fly(
+    legs: list[Leg], item: MissionItem, at: Vector, base: Vector, home: Place, frame: EnuFrame
+) -> tuple[Vector, ...]:
+    """Add the legs of one item that is flown from a place; returns where it may end."""
     if item.command not in FLOWN_PLACE:
-        return at
+        return (at,)
     alt_amsl_m = (item.z or 0.0) + (0.0 if item.frame == GLOBAL else home[2])
     up_m = frame.from_geodetic(home[0], home[1], alt_amsl_m)[2]
     there = at if item.position is None else frame.from_geodetic(*item.position, alt_amsl_m)
     if item.command in LANDINGS:
         at = _level(legs, at, there)
-        legs.append(column(at, min(base[2], at[2])))
-        return at
+        ground_m = min(base[2], at[2])
+        legs.append(column(at, ground_m))
+        return ((at[0], at[1], ground_m),)
     if item.command in TAKEOFFS:
+        # PX4 asks a multicopter for the height only, and ArduCopter raises it to the present one: neither sinks
+        up_m = max(at[2], up_m)
         legs.append(column(at, up_m))
-        at = (at[0], at[1], max(at[2], up_m))
-    legs += along([at, (there[0], there[1], up_m)])
-    return (there[0], there[1], up_m)
+        at = (at[0], at[1], up_m)
+    end = (there[0], there[1], up_m)
+    legs += along([at, end])
+    goes_on_at_once = item.command in TAKEOFFS and math.dist(at, end) > AT_HOME_M
+    return (end, at) if goes_on_at_once else (end,)
 
 
 def _level(legs: list[Leg], at: Vector, to: Vector) -> Vector:

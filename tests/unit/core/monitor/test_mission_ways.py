@@ -74,6 +74,35 @@ def test_a_jump_forward_skips_and_does_not_skip() -> None:
     assert meets(way(mission), (40.0, 25.0)) and meets(way(mission), (40.0, 50.0))
 
 
+@each(
+    ("at", "up_m", "place", "place_up_m", "found"),
+    [
+        # take-off to 3 m, then 40 m north at 3 m and up: PX4 flew from its 20 m straight down to the second item
+        ((0.0, 0.0), 20.0, (0.0, 10.0), 16.0, True),
+        ((0.0, 0.0), 20.0, (0.0, 10.0), 27.0, False),
+        ((0.0, 0.0), 0.0, (0.0, 10.0), 3.0, True),
+        ((0.0, 0.0), 0.0, (0.0, 10.0), 16.0, False),
+        # ordered beside the place of its take-off: over that, or past it
+        ((30.0, 0.0), 20.0, (0.0, 10.0), 16.0, True),
+        ((30.0, 0.0), 20.0, (15.0, 20.0), 11.0, True),
+        ((30.0, 0.0), 0.0, (15.0, 20.0), 3.0, True),
+        ((30.0, 0.0), 0.0, (15.0, 0.0), 3.0, True),
+        ((30.0, 0.0), 20.0, (15.0, 0.0), 3.0, False),
+        ((1.0, 0.0), 0.0, (0.0, 40.0), 3.0, True),
+    ],
+)
+def test_a_take_off_in_flight_keeps_the_height_and_may_leave_out_its_place(
+    at: Point, up_m: float, place: Point, place_up_m: float, found: bool
+) -> None:
+    mission = [item(22, (0.0, 0.0), 3.0), item(16, (0.0, 40.0), 3.0), item(16, (0.0, 40.0), 9.0)]
+    assert meets(way(mission, at=at, up_m=up_m), place, place_up_m) is found
+
+
+def test_a_take_off_after_a_landing_begins_on_the_ground() -> None:
+    again = [item(16, (0.0, 50.0)), item(21, (0.0, 50.0), 0.0), item(22, (0.0, 50.0), 3.0), item(16, (40.0, 50.0), 3.0)]
+    assert meets(way(again), (20.0, 50.0), 3.0) and not meets(way(again), (20.0, 50.0), 14.0)
+
+
 def test_jumps_that_lead_to_each_other_or_nowhere_end() -> None:
     loops = [item(16, (0.0, 50.0)), jump(3), jump(2), jump(99), jump(8, 601), item(16, (50.0, 50.0))]
     assert meets(way(loops), (25.0, 50.0))
