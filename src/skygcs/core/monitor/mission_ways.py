@@ -114,6 +114,9 @@ class MissionSpace:
         legs = list(along([begin]))
         ends = _fly(legs, self._next, begin, self._base, self.of.home, self.of.frame)
         if len(ends) > 1 or ends != self._ends:  # those of a take-off depend on where the vehicle is
+            behind = self._behind._next
+            if behind is not None and behind.command in TAKEOFFS:  # each of a row of them would double the ways
+                return self._way(begin, self.of.run)
             ways = [self._behind._way_from(end) for end in ends]
             return reduce(joined, ways, replace(ways[0], legs=tuple(legs)))
         return joined(replace(self._rest, legs=tuple(legs)), self._rest)

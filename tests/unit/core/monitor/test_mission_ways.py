@@ -98,6 +98,12 @@ def test_a_take_off_in_flight_keeps_the_height_and_may_leave_out_its_place(
     assert meets(way(mission, at=at, up_m=up_m), place, place_up_m) is found
 
 
+def test_a_row_of_take_offs_doubles_nothing() -> None:
+    """Each of 40 may be flown at its place or left out: the way has legs for all, not for all their combinations."""
+    row = [item(22, (20.0 * n, 0.0), 3.0) for n in range(1, 41)]
+    assert len(way(row, at=(0.0, 0.0), up_m=20.0).legs) < 10_000
+
+
 def test_a_take_off_after_a_landing_begins_on_the_ground() -> None:
     again = [item(16, (0.0, 50.0)), item(21, (0.0, 50.0), 0.0), item(22, (0.0, 50.0), 3.0), item(16, (40.0, 50.0), 3.0)]
     assert meets(way(again), (20.0, 50.0), 3.0) and not meets(way(again), (20.0, 50.0), 14.0)
